@@ -1,6 +1,4 @@
-"""Benchmarks: `python -m benchmarks` or `make bench`. One file per benchmark.
+"""Benchmarks, one per file: `python -m benchmarks` or `make bench`.
 
-`python -m benchmarks convergence` regenerates the tables and the figure of docs/convergence.md.
-`python -m benchmarks.claims` prints the tables of docs/paper.md, `python -m benchmarks.estimators` writes those of
-docs/estimators.md with their figures.
+`python -m benchmarks --help` lists them. Those that write tables of a page name it in their first line.
 """

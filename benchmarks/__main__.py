@@ -1,6 +1,6 @@
 """Run the benchmarks: all, or those named. Those that take minutes, or hours, run only when named.
 
-Of one that is named all that follows is its own: `python -m benchmarks sysid --help`, `… studies model_error --jobs 1`.
+Options after a name belong to that benchmark: `python -m benchmarks sysid --help`, `… studies model_error --jobs 1`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views"
 NAMED_ONLY = (
     "convergence",
     "estimators",
-    "quotes",
     "claims",
     "readings",
     "mistakes",
@@ -31,6 +30,7 @@ NAMED_ONLY = (
     "studies",
     "arms",
     "real_logs",
+    "accuracy",
 )
 
 
@@ -61,7 +61,7 @@ def main() -> None:
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("mujoco", "numba", "numpy"))
     load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     print(f"{platform.machine()}, {os.cpu_count()} cores{load}; Python {platform.python_version()}, {versions}")
-    print("medians after a warm-up; lowest and highest beside them\n")
+    print("medians after a warm-up, with lowest and highest\n")
     for name in arguments.names or NAMES:
         importlib.import_module(f"benchmarks.{name}").main()
         print()

@@ -1,8 +1,8 @@
 """Diagnosis of joints that move in an arm: `python -m benchmarks arms` prints the table of docs/arms.md.
 
-Per draw the arm of the scenario `two_joints`, each joint within its tolerances, its ways and paces drawn anew, and one effect of
+Per draw the arm of the scenario `two_joints`, each joint within its tolerances, its motions drawn, and one effect of
 ordinary size beyond them hidden in the shoulder (even draws) or in the elbow (odd ones). Both are diagnosed, each by its own
-recording of 30 s with the torque sensor, and told its description.
+recording of 30 s with the torque sensor, with its description.
 """
 
 from __future__ import annotations

@@ -1,14 +1,12 @@
-"""Known causes fitted to a recording in which the external torque was measured: the quick way, for one-way sweeps.
+"""Fit known causes to a recording with a measured external torque: a quick way for one-way sweeps.
 
-Diagnosis proper finds out *which* causes a measurement shows. Where the causes are chosen already (by it, or by a
-person who has
-looked), two balances of measured quantities give their parameters and standard deviations in a second:
+A diagnosis finds *which* causes a measurement shows. If the causes are known, two balances of measured quantities give their
+parameters and standard deviations in a second:
 
-    torque from current (friction and rotor taken off)  =  own gravity and inertia − external torque,
-    torsion                                             =  wind-up under that torque + once-per-revolution error of the
-    encoder.
+    torque from current minus friction and rotor  =  own gravity and inertia − external torque,
+    torsion                                       =  wind-up under that torque + once-per-revolution error of the encoder.
 
-Both hold at every instant, so that any part of a recording can be held out.
+Both hold at every instant, so any part of a recording can be held out.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Whether what an extended joint says of itself holds where its fit has not been: bands of simulated channels and estimates.
+"""Coverage of the bands of an extended joint outside the range of its fit: simulated channels and estimates.
 
 A joint is measured in a part of its range of angle, speed and load, diagnosed, and then moves through the whole range. Truth is
-what its sensors would have read of that motion without noise; what counts are samples in motion beyond the range of the first
-measurement.
+the noise-free reading of its sensors. Samples in motion outside the first measurement's range count.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ def _recorded(
 
 
 def smaller(scenario: Scenario, share: float) -> Scenario:
-    """The same motion with all angles `share` times as large; pushes as they are."""
+    """The same motion with all angles `share` times as large; pushes unchanged."""
     points = [w.model_copy(update={"position": share * w.position}) for w in scenario.trajectory]
     return scenario.model_copy(update={"trajectory": points})
 

@@ -1,9 +1,8 @@
-"""Bands where the fit has not been: `python -m benchmarks bands` writes docs/bands.csv and a table of docs/diagnosis.md.
+"""Bands outside the range of the fit: `python -m benchmarks bands` writes docs/bands.csv and a table of docs/diagnosis.md.
 
-A draw is a joint (`diagnosis.trials.draw`), by turns alone and with one hidden effect of ordinary size, with a real joint's small
-imperfections or without. 60 % of its angles, and with them of speeds and loads, are diagnosed; then it moves through all of its
-range (`benchmarks.band_draws`). Counted are samples in motion beyond the data in which the noise-free reading lies in its 95 %
-band. Draws are kept as they come (`--kept`), and those that are kept are not computed again.
+A draw is a joint (`diagnosis.trials.draw`), with imperfections or without; every other one has one hidden effect. 60 % of
+its angles are diagnosed. Then it moves through its whole range (`benchmarks.band_draws`). Samples in motion outside the
+data count if the noise-free reading lies in its 95 % band. Draws are kept (`--kept`) and not computed again.
 """
 
 from __future__ import annotations
@@ -19,9 +18,10 @@ import numpy as np
 
 from benchmarks import band_draws as bands
 from flexspline.diagnosis.trials.draw import Challenge, Hidden
+from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.views.limit_tables import markdown
 
-from . import kept
+from . import kept, plots
 from .pages import ROOT, fill, share
 
 SEED = 531
@@ -72,8 +72,7 @@ def about(rows: Sequence[Row]) -> str:
     """How many draws there are, and of what."""
     real, sound = (sorted({r.draw for r in rows if r.real == kind}) for kind in (True, False))
     return (
-        f"({len(real)} joints with a real joint's imperfections, {len(sound)} without, seed {SEED}; every other one hides an "
-        "effect)"
+        f"({len(real)} joints with imperfections, {len(sound)} without, seed {SEED}; every other one hides an effect)"
     )
 
 
@@ -88,12 +87,22 @@ def table(rows: Sequence[Row]) -> str:
         body.append((label, *cells))
     heads = (
         "95 % band of",
-        "real joints: inside [%]",
+        "with imperfections: inside [%]",
         "draws with ≥ 90 %",
-        "sound joints: inside [%]",
+        "without: inside [%]",
         "draws with ≥ 90 %",
     )
     return markdown(heads, body)
+
+
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Draw the shares inside, by channel."""
+    panels: dict[str, list[plots.Point]] = {}
+    for real, title in ((True, "with imperfections"), (False, "without imperfections")):
+        for name, label in LABELS.items():
+            some = [100 * r.inside for r in rows if r.real == real and r.channel == name and r.samples >= ENOUGH]
+            panels.setdefault(title, []).append((label.replace("`", ""), "", interval(some)))
+    plots.intervals(path, panels, "samples inside the 95 % band [%]", log=False)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -116,6 +125,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         minutes = (time.monotonic() - began) / 60
         print(f"{len({(r.real, r.draw) for r in rows})} draws; {minutes:.1f} min", flush=True)
     fill(asked.page, {"bands": table(rows), "bands about": about(rows)})
+    figure(rows, asked.page.parent / "figures" / "bands.png")
     print(table(rows))
 
 

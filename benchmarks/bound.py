@@ -1,5 +1,6 @@
-"""How far the estimators are from what is possible: `python -m benchmarks bound` writes the table of that section of
-docs/estimators.md. Bounds and errors are of `flexspline bound`, over independent draws of start, pace, pushes and noise."""
+"""Distance of the estimators to the bound: `python -m benchmarks bound` writes a table of docs/estimators.md. Bounds and
+errors are those of `flexspline bound`, over independent draws of start, pace, pushes and noise.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ NAMES = ("augmented", "dynamics_ekf", "momentum_torsion", "RAREKF")
 
 
 def table(found: Sequence[Limits]) -> str:
-    """By scenario: intensity, both bounds, and errors of estimators that are told the true numbers."""
+    """By scenario: intensity, both bounds, and errors of estimators that know the true numbers."""
     rows = []
     for limits in found:
         errors = {e.name: text(interval(e.rms), 4) for e in limits.estimators}

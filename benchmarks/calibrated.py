@@ -3,14 +3,14 @@
 A draw is a joint within its tolerances, alone or with one hidden effect of ordinary size, recorded for about 85 s on drawn
 motions (`diagnosis.trials.draw`), with `--real` with a real joint's small imperfections. `diagnose` gets the recordings and the
 description. Every estimator then runs over fresh motion of the same joint, the three experiments with drawn start, pace,
-pushes and noise (`scenarios.evaluation.draws`), and is told in turn
+pushes and noise (`scenarios.evaluation.draws`). It knows in turn
 
-* *before*: the description, its tolerances, and the link encoder's zero, which taring gives to anybody;
-* *after*: the joint that the diagnosis wrote, its zero and standard deviations, and nothing else;
-* *exact*: the plant's own numbers, effects and imperfections, without a doubt.
+* *before*: the description, its tolerances, and the encoder offset;
+* *after*: the joint that the diagnosis wrote, with its encoder offset and standard deviations;
+* *exact*: the plant's own numbers, effects and imperfections.
 
 Errors are RMS against the plant's noise-free joint torque. Draws are kept as they come (`--kept`), and those that are kept
-are not computed again: a run can be cut at any time and continued.
+are not computed again, so that a run can be stopped and continued.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_tables import markdown
 
-from . import kept
+from . import kept, plots
 from .estimators import SCENARIOS
 from .pages import ROOT, fill, text
 
@@ -45,7 +45,6 @@ NAMES = ("augmented", "dynamics_ekf", "momentum_torsion", "current", "model", "R
 KNOWLEDGE = ("before", "after", "exact")
 PARTS = ("rms", "moving", "resting")
 LABELS = {"none": "nothing hidden", "one": "one hidden cause"}
-SHOWN = ("augmented", "momentum_torsion", "RAREKF")  # cause by cause
 
 
 @dataclass(frozen=True)
@@ -72,12 +71,12 @@ class Row:
 
 
 def known(one: Draw, extended: Joint, experiment: Experiment, record: np.ndarray) -> dict[str, KnownJoint]:
-    """What the estimators are told of a joint, by knowledge."""
+    """Return what the estimators know of a joint, by knowledge."""
     described = KnownJoint.of(one.nominal, experiment.mounting)
-    tared = replace(described.with_numbers(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
+    before = replace(described.with_numbers(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
     mounting = experiment.scenario.mounting or None
     return {
-        "before": tared,
+        "before": before,
         "after": KnownJoint.of(extended, extended.mount(mounting)),
         "exact": KnownJoint.of(one.nominal, experiment.mounting, record).within(0.0),
     }
@@ -112,11 +111,11 @@ def errors(
             for record, recording in zip(one.records, one.measurement.recordings, strict=True)
             if recording.link == experiment.mounting
         )
-        told = known(one, extended, experiment, record)
+        each = known(one, extended, experiment, record)
         simulation = experiment.simulate(seed, record, experiment.build(record))
-        fresh = draw_of(experiment, simulation, record, told["exact"], seed)
+        fresh = draw_of(experiment, simulation, record, each["exact"], seed)
         for estimator in names:
-            values = [value for knowledge in KNOWLEDGE for value in _errors(estimator, told[knowledge], fresh)]
+            values = [value for knowledge in KNOWLEDGE for value in _errors(estimator, each[knowledge], fresh)]
             rows.append(Row(*said, name, estimator, *values))
     return rows
 
@@ -152,112 +151,83 @@ class Results:
         return np.array([np.exp(np.mean(np.log(by[k]))) for k in sorted(by)])
 
 
-def _mean(found: Interval, digits: int = 3) -> str:
-    """A mean with its interval, which two draws do not have."""
+def _mean(found: Interval, digits: int) -> str:
+    """Write a mean with its interval, if it has more than two draws."""
     return text(found, digits) if found.n > 2 else f"{found.mean:.{digits}f}"
 
 
 def _level(values: np.ndarray) -> str:
-    """Geometric mean of errors with its interval; how many diverged."""
-    found = _mean(geometric(values, np.ones(len(values))))
+    """Write the geometric mean of errors, and how many diverged."""
+    found = f"{geometric(values, np.ones(len(values))).mean:.3f}"
     diverged = int(np.sum(~np.isfinite(values)))
     return f"{found}, {diverged} diverged" if diverged else found
 
 
-def _worse(after: np.ndarray, before: np.ndarray) -> str:
-    """In how many draws an error is larger afterwards, and how much at most."""
-    more = after / before
-    count = int(np.sum(more > 1.0))
-    return f"{count} of {len(more)}" + (f", ≤ {np.max(more):.1f} ×" if count else "")
-
-
-def kind_table(results: Results, hidden: str, real: bool, names: Sequence[str] = NAMES) -> str:
-    """Errors before, after, and with exact knowledge; in motion and at rest."""
-    heads = ["estimator", "before [N·m]", "after", "exact knowledge", "after / before", "worse after"]
-    heads += ["moving: before", "after", "exact", "at rest: before", "after", "exact"]
+def kind_table(results: Results, real: bool, names: Sequence[str] = NAMES) -> str:
+    """Make the table of errors before, after, and with exact knowledge, without and with a hidden cause."""
+    kinds = [hidden for hidden in LABELS if results.draws(hidden, real)]
     rows = []
     for name in names:
-        values = {k: results.values(hidden, real, name, k) for k in KNOWLEDGE}
-        row = [
-            f"`{name}`",
-            *(_level(values[k]) for k in KNOWLEDGE),
-            _mean(geometric(values["after"], values["before"]), 2),
-            _worse(values["after"], values["before"]),
-        ]
-        for part in PARTS[1:]:
-            for k in KNOWLEDGE:
-                some = results.values(hidden, real, name, k, part)
-                row.append(_mean(geometric(some, np.ones(len(some)))))
+        row = [f"`{name}`"]
+        for hidden in kinds:
+            values = {k: results.values(hidden, real, name, k) for k in KNOWLEDGE}
+            row += [_level(values[k]) for k in KNOWLEDGE]
+            worse = np.sum(values["after"] > values["before"])
+            row += [_mean(geometric(values["after"], values["before"]), 2), f"{worse} of {len(values['after'])}"]
         rows.append(row)
+    heads = ["estimator"]
+    for hidden in kinds:
+        heads += [f"{LABELS[hidden]}: before [N·m]", "after", "exact", "after / before", "worse after"]
     return markdown(heads, rows)
 
 
 def counts(results: Results, real: bool) -> str:
-    """What was named, where `augmented` lost by a diagnosis, and its largest errors after one, in words."""
-    told: list[str] = []
-    for hidden, rows in ((h, [r for r in results.rows if r.hidden == h and r.real == real]) for h in LABELS):
+    """Say how often the diagnosis was right, and how `augmented` changed."""
+    parts = []
+    for hidden, what in (
+        ("none", "joints with nothing hidden were called consistent"),
+        ("one", "causes were named first"),
+    ):
+        rows = [r for r in results.rows if r.hidden == hidden and r.real == real]
         named = {r.draw: r.named == (r.cause or "consistent") for r in rows}
-        if named:
-            what = (
-                "hidden causes were named first"
-                if hidden == "one"
-                else "joints with nothing hidden were called consistent"
-            )
-            told.append(f"{sum(named.values())} of {len(named)} {what}")
-    kinds = [
-        h for h in LABELS if any(r.hidden == h and r.real == real and r.estimator == NAMES[0] for r in results.rows)
-    ]
-    if not kinds:
-        return ", ".join(told)
-    before, after = (np.concatenate([results.values(h, real, NAMES[0], k) for h in kinds]) for k in KNOWLEDGE[:2])
-    more = after / before
-    worse = f"`{NAMES[0]}` was worse after a diagnosis than before in {np.sum(more > 1)} of the {len(more)}"
-    if np.any(more > 1):
-        worse += f", by {100 * (np.max(more) - 1):.0f} % at most"
-    return f"{', '.join(told)}; {worse}, and at most {np.max(after):.2g} N·m off (before: {np.max(before):.2g})."
-
-
-def cause_table(results: Results, real: bool) -> str:
-    """Cause by cause: how often it was named first, and errors before, after and with exact knowledge."""
-    heads = ["hidden", "named first"]
-    heads += [f"{name}: {k}" for name in SHOWN for k in KNOWLEDGE]
-    rows = []
-    for cause in sorted({r.cause for r in results.rows if r.hidden == "one" and r.real == real}):
-        named = {r.draw: r.named for r in results.rows if r.hidden == "one" and r.real == real and r.cause == cause}
-        others = sorted({n for n in named.values() if n != cause})
-        right = f"{sum(n == cause for n in named.values())} of {len(named)}"
-        row = [cause, f"{right} ({', '.join(others)})" if others else right]
-        for name in SHOWN:
-            for k in KNOWLEDGE:
-                values = results.values("one", real, name, k, cause=cause)
-                row.append(f"{geometric(values, np.ones(len(values))).mean:.3f}")
-        rows.append(row)
-    return markdown(heads, rows)
+        if named and not (real and hidden == "none"):  # imperfections are found as what they are
+            parts.append(f"{sum(named.values())} of {len(named)} {what}.")
+    kinds = [h for h in LABELS if any((r.hidden, r.real, r.estimator) == (h, real, NAMES[0]) for r in results.rows)]
+    if kinds:
+        before, after = (np.concatenate([results.values(h, real, NAMES[0], k) for h in kinds]) for k in KNOWLEDGE[:2])
+        parts.append(
+            f"The largest error of `{NAMES[0]}` was {np.max(before):.2g} N·m before a diagnosis and {np.max(after):.2g} N·m "
+            "after it."
+        )
+    return " ".join(parts)
 
 
 def tables(results: Results, names: Sequence[str] = NAMES) -> dict[str, str]:
-    """The tables of docs/estimators.md, by marker; those with imperfections under one, with their headings."""
-    found = {
-        f"calibrated {hidden}": kind_table(results, hidden, False, names)
-        if results.draws(hidden, False)
-        else "(no draws yet)"
-        for hidden in LABELS
-    }
-    found["calibrated causes"] = cause_table(results, False) if results.draws("one", False) else "(no draws yet)"
-    found["calibrated about"] = (
-        f"{_counts(results, False)}, seed {SEED}: draw by draw the same motions and, where the effect allows, the same "
-        "joint. Geometric means over the three experiments and the draws [N·m]; brackets are 95 % intervals over draws, "
-        "Student's t of logarithms, from three draws on. Every run: "
-        f"[calibrated.csv](calibrated.csv).\n\n{counts(results, False)}"
-    )
-    parts = [f"{_counts(results, True)}."]
-    for hidden, label in LABELS.items():
-        if results.draws(hidden, True):
-            parts += [f"**{label.capitalize()}**", kind_table(results, hidden, True, names)]
-    if results.draws("one", True):
-        parts.append(cause_table(results, True))
-    found["calibrated real"] = "\n\n".join(parts)
+    """Make the tables of docs/estimators.md, by marker."""
+    found = {}
+    for real, name in ((False, "calibrated"), (True, "calibrated real")):
+        if results.draws("none", real) or results.draws("one", real):
+            said = f"{_counts(results, real)}, seed {SEED}. {counts(results, real)}"
+            found |= {f"{name} about": said, name: kind_table(results, real, names)}
     return found
+
+
+def figure(results: Results, path: Path, names: Sequence[str] = NAMES) -> None:
+    """Draw the errors on joints with one hidden cause."""
+    plots.intervals(
+        path,
+        {
+            label: [
+                (name, knowledge, geometric(values, np.ones(len(values))))
+                for knowledge in KNOWLEDGE
+                for name in names
+                for values in [results.values("one", real, name, knowledge)]
+            ]
+            for real, label in ((False, "without imperfections"), (True, "with imperfections"))
+            if results.draws("one", real)
+        },
+        "RMS error [N·m]",
+    )
 
 
 def _counts(results: Results, real: bool) -> str:
@@ -296,7 +266,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     asked = parser.parse_args(arguments)
     rows, began = read(asked.kept), time.monotonic()
     have = {(r.hidden, r.real, r.draw) for r in rows}
-    # One kind beside the other, so that a run that is cut has as many of both.
+    # Alternate between the kinds, so that a stopped run has as many of both.
     wanted = [(h, asked.real, k) for k in range(asked.draws) for h in LABELS]
     waiting = [one for one in wanted if one not in have]
     for _, done in kept.computed(assessed, waiting, asked.processes, asked.minutes):
@@ -307,9 +277,8 @@ def main(arguments: Sequence[str] = ()) -> None:
         print(f"{last.hidden} {last.draw} {last.cause}: {last.named}; {minutes:.1f} min", flush=True)
     results = Results(rows)
     fill(asked.page, tables(results))
-    for hidden, label in LABELS.items():
-        if results.draws(hidden, asked.real):
-            print(f"{label}\n{kind_table(results, hidden, asked.real)}")
+    figure(results, asked.page.parent / "figures" / "calibrated.png")
+    print(kind_table(results, asked.real))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""What the paper claims, measured: `python -m benchmarks claims` writes the tables of docs/paper.md and docs/paper.csv.
+"""The paper's claims, measured: `python -m benchmarks claims` writes tables and a figure of docs/paper.md, and
+docs/paper.csv.
 
-Every claim over the readings of Eq. (23), V, W, and what the calibration has wrong, on independent draws of one joint
-(start, pace, pushes and noise per seed: `scenarios.evaluation.draws`); a calibration error is one of what the filter is told,
-so that all of them see the same signals. The filters of one line share the measurement Y and differ in the recursion alone.
+Every claim over the readings of Eq. (23), V, W and calibration errors, on independent draws of one joint (start, pace,
+pushes and noise per seed: `scenarios.evaluation.draws`). A calibration error changes what the filter knows, so all
+filters see the same signals. The filters of one line share the measurement Y and differ in the recursion alone.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.files import write_into_place
 from flexspline.scenarios.evaluation import metrics
 from flexspline.scenarios.evaluation.draws import DrawnExperiment, rms
-from flexspline.scenarios.evaluation.intervals import interval
+from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
+from . import plots
 from .estimators import SCENARIOS, drawn
 from .pages import ROOT, fill, text
 
@@ -41,13 +43,13 @@ MISMATCHES: Mapping[str, Mapping[str, float]] = {
     "exact": {}, "stiffness 10 % high": {"K1": 1.1, "K2": 1.1, "K3": 1.1}, "Kw0 15 % high": {"Kw0": 1.15},
     "no kinematic error known": {"amplitude": 0.0},
 }  # fmt: skip
-"""What the filters are told, as a factor of the truth."""
+"""What the filters know, as a factor of the true value."""
 LOADS = ((0.0, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 6.0), (6.0, 99.0))
 """Bins of the joint torque's size [N·m], in motion."""
 CLAIMS = (
     "no load: within 0.1 N·m", "no load: optimal", "from optimal to robust under load", "quick and quiet in pushes",
 )  # fmt: skip
-"""As the tables call them."""
+"""Titles of the claims."""
 
 
 @dataclass(frozen=True)
@@ -152,12 +154,27 @@ class Map:
         )
 
 
+def shown(found: Map) -> list[tuple[str, str, str, str]]:
+    """Select the settings of the tables: exact calibration, the smaller W. The CSV has all."""
+    return [s for s in found.settings if s[0] == "exact" and s[3] == next(iter(W))]
+
+
 def claim_table(found: Map) -> str:
-    """Which claims come out, by reading, V, W and calibration error."""
-    rows = [
-        (*s[1:], s[0], *("yes" if held else "no" for held in found.claims(s))) for s in found.settings
-    ]  # fmt: skip
-    return markdown(("α", "V", "W", "calibration", *CLAIMS), rows)
+    """Make the table of claims that hold, by reading and V."""
+    rows = [(*s[1:3], *("yes" if held else "no" for held in found.claims(s))) for s in shown(found)]
+    return markdown(("α", "V", *CLAIMS), rows)
+
+
+def calibration_table(found: Map) -> str:
+    """Make the table of claims that hold, by number, over calibration errors and V."""
+    walk = next(iter(W))
+    rows = [(label, v, *(_codes(found, (label, r, v, walk)) for r in READINGS)) for label in MISMATCHES for v in V]
+    return markdown(("calibration", "V", *READINGS), rows)
+
+
+def _codes(found: Map, setting: tuple[str, ...]) -> str:
+    """Write the numbers of the claims that hold."""
+    return "".join(str(i) for i, held in enumerate(found.claims(setting), 1) if held) or "none"
 
 
 def _shares(found: Map, setting: tuple[str, ...]) -> list[str]:
@@ -172,41 +189,47 @@ _BINS = [f"sweep, {a:g}–{b:g} N·m" if b < 99 else f"sweep, over {a:g} N·m" f
 
 def mode_table(found: Map) -> str:
     """Share of robust mode by load, exact calibration."""
-    rows = [(*s[1:], *_shares(found, s)) for s in found.settings if s[0] == "exact"]
-    return markdown(("α", "V", "W", "no load", *_BINS, "at rest"), rows)
+    rows = [(*s[1:3], *_shares(found, s)) for s in shown(found)]
+    return markdown(("α", "V", "no load", *_BINS, "at rest"), rows)
 
 
-def count_tables(found: Mapping[int, Map]) -> tuple[str, str]:
-    """By the motor encoder's counts: the claims that come out, by number, and the share of robust mode with the encoders' own V
-    and exact calibration."""
-    claims, modes = [], []
-    for counts, one in found.items():
-        held = {s: "".join(str(i) for i, x in enumerate(one.claims(s), 1) if x) or "none" for s in one.settings}
-        for label in MISMATCHES:
-            for v in (SHIPPED, OWN):
-                claims.append((str(counts), label, v, *(held[label, r, v, w] for w in W for r in READINGS)))
-        modes += [
-            (str(counts), r, w, *_shares(one, ("exact", r, OWN, w))) for r in READINGS for w in W
+def count_table(found: Mapping[int, Map]) -> str:
+    """Make the table of claims that hold, by number, over the motor encoder's counts, with exact calibration."""
+    walk = next(iter(W))
+    rows = [
+        (str(counts), v, *(_codes(one, ("exact", r, v, walk)) for r in READINGS))
+        for counts, one in found.items()
+        for v in (SHIPPED, OWN)
+    ]
+    return markdown(("counts", "V", *READINGS), rows)
+
+
+def mode_figure(csv_path: Path, path: Path) -> None:
+    """Draw the share of the robust mode over the load in motion, from paper.csv."""
+    with csv_path.open(newline="", encoding="utf-8") as file:
+        rows = [
+            r for r in csv.DictReader(file)
+            if (r["calibration"], r["W"], r["scenario"]) == ("exact", next(iter(W)), "link_sweep")
         ]  # fmt: skip
-    heads = [f"{reading}, W {w}" for w in W for reading in READINGS]
-    return (
-        markdown(("counts", "calibration", "V", *heads), claims),
-        markdown(("counts", "α", "W", "no load", *_BINS, "at rest"), modes),
-    )
+    panels: dict[str, list[plots.Point]] = {}
+    for (low, high), label in zip(LOADS, _BINS, strict=True):
+        for r in rows:
+            share = 100 * float(r[f"robust_{low:g}_{high:g}"])
+            panels.setdefault(f"V = {r['V']}", []).append((label, r["alpha"], Interval(share, share, share, 1)))
+    plots.intervals(path, panels, "time in robust mode [%]", log=False)
 
 
 def error_table(found: Map) -> str:
     """RMS errors, response and noise, exact calibration."""
     rows = []
-    for s in found.settings:
-        if s[0] == "exact":
-            cells = [text(interval(found.values(s, name, "rms")), 4) for name in SCENARIOS]
-            response = text(interval(found.values(s, "external_push", "response")), 1)
-            within = f"{100 * np.mean(found.values(s, 'no_load', 'within')):.1f}"
-            noise = f"{np.mean(found.values(s, 'external_push', 'noise')):.2f}"
-            rows.append((*s[1:], within, *cells, response, noise))
+    for s in shown(found):
+        cells = [text(interval(found.values(s, name, "rms")), 4) for name in SCENARIOS]
+        response = text(interval(found.values(s, "external_push", "response")), 1)
+        within = f"{100 * np.mean(found.values(s, 'no_load', 'within')):.1f}"
+        noise = f"{np.mean(found.values(s, 'external_push', 'noise')):.2f}"
+        rows.append((*s[1:3], within, *cells, response, noise))
     heads = (
-        "α", "V", "W", "no load within 0.1 N·m [%]", *(f"{name} [N·m]" for name in SCENARIOS), "response [ms]",
+        "α", "V", "no load within 0.1 N·m [%]", *(f"{name} [N·m]" for name in SCENARIOS), "response [ms]",
         "noise / raw",
     )  # fmt: skip
     return markdown(heads, rows)
@@ -260,18 +283,19 @@ def main(arguments: Sequence[str] = ()) -> None:
     with pool:
         if asked.counts is not None:
             by_count = {counts: measured(pool, seeds, asked.draws, counts) for counts in asked.counts}
-            claims, modes = count_tables(by_count)
-            fill(asked.page, {"counts": claims, "counts mode": modes})
+            fill(asked.page, {"counts": count_table(by_count)})
             for counts, one in by_count.items():
                 write_csv(one, asked.page.with_name(f"paper_{counts}.csv"))
             return
         whole = measured(pool, seeds, asked.draws)
-    fill(asked.page, {"claims": claim_table(whole), "mode": mode_table(whole), "errors": error_table(whole)})
+    tables = {"claims": claim_table, "calibration": calibration_table, "mode": mode_table, "errors": error_table}
+    fill(asked.page, {name: make(whole) for name, make in tables.items()})
     write_csv(whole, asked.page.with_suffix(".csv"))
+    mode_figure(asked.page.with_suffix(".csv"), asked.page.parent / "figures" / "paper_mode.png")
 
 
 def measured(pool: ThreadPoolExecutor, seeds: Sequence[int], kept: Path | None, counts: int | None = None) -> Map:
-    """Every setting over every draw; `counts`: of another motor encoder, with the V that it leaves beside the shipped one."""
+    """Every setting over every draw; `counts`: of another motor encoder, with its own V and the shipped one."""
     found, began = [], time.perf_counter()
     changes = [] if counts is None else [f"sensors.motor_encoder.counts={counts}"]
     for scenario in SCENARIOS:

@@ -1,4 +1,4 @@
-"""The 80 s no-load scenario with the paper's filters, beside MuJoCo alone stepping the same model for as long, in turns."""
+"""The 80 s no-load scenario with the paper's filters, and MuJoCo alone with the same model for as long, in turns."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def main() -> None:
     print(f"no_load, {SECONDS:g} s, {names} over its signals, {steps} steps of {scenario.timestep * 1e3:g} ms")
     notes = {
         "MuJoCo, the same model": f": mj_step(m, d, {steps}), the joint's laws as its plugin",
-        "the same without its clock": ": `mjcb_time` stands still, as in the closed loop",
+        "the same without its clock": ": `mjcb_time` is constant, as in the closed loop",
         "MuJoCo, the shipped MJCF": ": linear springs, no plugin",
     }
     for name, timing in t.items():

@@ -1,7 +1,7 @@
-"""Whole commands, from the shell's point of view: wall and core time the second time on, nothing left to compile.
+"""Wall and core time of whole commands, the second time, when nothing is left to compile.
 
-Beside them, in turns, what they cannot do without: an interpreter that imports NumPy, Numba and MuJoCo, and bare MuJoCo that
-steps the models of the scenarios for as long. Every target is for a machine with two cores that has nothing else to do.
+In turns with them run their baselines: an interpreter that imports NumPy, Numba and MuJoCo, and bare MuJoCo with the models of
+the scenarios. Targets are for an idle machine with two cores.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What compiling the closed loop buys: the same ten seconds with the loop in Python, around the same compiled parts."""
+"""Gain of the compiled closed loop: the same ten seconds with the loop in Python around the same compiled parts."""
 
 from __future__ import annotations
 

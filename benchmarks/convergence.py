@@ -1,6 +1,6 @@
 """The convergence study of docs/convergence.md: error against the reference solutions over the timestep.
 
-Once for the plant as it is, once for MuJoCo's integrators without what the plant adds to them: linear dampings as MuJoCo takes
+Once for the plant, once for MuJoCo's integrators without what the plant adds to them: linear dampings as MuJoCo takes
 them, its own LuGre friction, and a callback that exerts the springs' forces and nothing else.
 """
 
@@ -72,7 +72,7 @@ def springs() -> Any:
 
 
 def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float) -> None:
-    """Put a record's numbers into a joint's MJCF without the plant's corrections: dampings as they are."""
+    """Put a record's numbers into a joint's MJCF without the plant's corrections."""
     plant.set_numbers(spec, p, timestep, ideal_current=True)
     error = spec.actuator("mesh_friction").set_to_dcmotor(
         motorconst=[0.0, 0.0], resistance=1.0, lugre=[float(p[name]) for name in ("s0", "s1", "Fc", "Fs", "vs")],

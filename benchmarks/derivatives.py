@@ -1,4 +1,4 @@
-"""What dual numbers buy a diagnosis: derivatives of a replay by all of a joint's numbers, beside those by one replay each."""
+"""Time of a replay's derivatives in all of a joint's numbers: by dual numbers, and by one replay each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sine and cosine, and 1 − exp(−x), of `models.elementary` beside the C library's, in compiled loops."""
+"""Sine and cosine, and 1 − exp(−x), of `models.elementary` and of the C library, in compiled loops."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A disk that is full from the n-th write on, for every n: every command ends in one line and leaves nothing half-written.
+"""A disk that is full from the n-th write on, for every n: a command must end in one line and leave nothing half-written.
 
-Whatever a command and its libraries write, they ask the system's C library for: a library put before it (LD_PRELOAD) counts
-what is asked for below a folder, and refuses from the n-th time on, as a full disk does. Linux, with a C compiler.
+A library that is loaded before the C library (LD_PRELOAD) counts the writes below a folder and refuses them from the n-th
+on. Linux, with a C compiler.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ PATH_AT(renameat, (int from, const char *old, int folder, const char *path), (fr
 
 _STAGE = re.compile(r" *\d+\.\d s +\d+ %  ")  # how far it is, where there is no terminal
 HANG = 300.0
-"""Seconds after which a command that met a full disk counts as one that hangs."""
+"""Seconds after which a command that met a full disk counts as frozen."""
 
 
 def full_disk(names: list[str] | None = None, step: int = 1) -> tuple[Counter[str], list[str]] | None:
@@ -152,7 +152,7 @@ def full_disk(names: list[str] | None = None, step: int = 1) -> tuple[Counter[st
 
 
 def _every(folder: Path, step: int, names: list[str]) -> tuple[Counter[str], list[str]]:
-    """`full_disk` in the process before whose C library the other stands: a process of its own for every n, by fork."""
+    """`full_disk` in a process with the refusing library, by a fork for every n."""
     done, wrong = Counter[str](), []
     with (folder / "state").open("r+b") as file:
         state = mmap.mmap(file.fileno(), 16)
@@ -215,7 +215,7 @@ def _wrong(job: Job, out: Path, old: dict[str, bytes], code: int, err: str) -> I
 
 
 def _call(words: list[str], folder: Path) -> tuple[int, str]:
-    """Exit code and stderr of a command in a process of its own, which begins as this one is."""
+    """Exit code and stderr of a command in a separate process with the same start."""
     errors = folder / "stderr"
     process = os.fork()
     if process == 0:
@@ -238,7 +238,7 @@ def _call(words: list[str], folder: Path) -> tuple[int, str]:
         if time.monotonic() > end:
             os.kill(process, 9)
             os.waitpid(process, 0)
-            return -1, "hangs"
+            return -1, "frozen"
         time.sleep(0.01)
 
 

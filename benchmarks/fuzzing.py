@@ -1,7 +1,7 @@
-"""Inputs that nobody would write, and those that people do write: mutations of every shipped file, descriptions drawn from
-the schemas, damaged tables; and whether each is used or refused in one line.
+"""Random inputs: mutations of every shipped file, descriptions drawn from the schemas, damaged tables. Each must be used, or
+refused in one line.
 
-Every input is made of (seed, number) alone, so that any of them can be made again.
+An input is made from (seed, number) alone, so that it can be made again.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ ODD: tuple[Any, ...] = (
     "a", "1", "ä°µ", "../../../etc/passwd", "/etc/passwd", "~/x", "[bold]x[/]", "x\ny", "\x1b[31m", "a" * 5000, "no_load",
     "test-joint", "EKF", "none", "deg", "rad", [], {}, [[]], [None], [1, 2], ["a"], {"a": 1}, {"value": 1}, [1e308] * 3,
 )  # fmt: skip
-"""Values that stand where others are expected."""
+"""Values in place of expected ones."""
 _SPLICES = (
     b"\x00", b"\xff\xfe", b"\xb0", b"\t", b"{", b"[", b"- ", b": ", b"&a *a", b"!!python/object:os.system x", b"!!binary x",
     b"1e999", b"nan", b"0x", b"'", b'"', b"#", b"|", b"...\n---\n", b"<<: *a", b"? ", b"\r\n", b"\xc2\xb2", b"[" * 200,
@@ -79,7 +79,7 @@ class Case:
     """A kind of file: shipped examples, and what a command does with one.
 
     Attributes:
-      name: of the kind. sources: files. use: uses a file at a path, in a folder of its own. schema: of what is in it, if any.
+      name: of the kind. sources: files. use: uses a file at a path, in a separate folder. schema: of what is in it, if any.
     """
 
     name: str
@@ -153,7 +153,7 @@ def _use_mjcf(path: Path, rng: random.Random) -> None:
         known_joints()["test-joint"].read_text(encoding="utf-8").replace("model: test_joint.xml", f"model: {path.name}")
     )
     path.with_name("j.yaml").write_text(text, encoding="utf-8")
-    with warnings.catch_warnings():  # numbers other than the description's are told, and are not what is asked here
+    with warnings.catch_warnings():  # a warning about other numbers is not tested here
         warnings.simplefilter("ignore", InputWarning)
         plant.build(load_joint(path.with_name("j.yaml")))
 
@@ -376,7 +376,7 @@ _COLUMNS = {
 
 
 def messages_damaged(rng: random.Random, folder: Path) -> Path:
-    """An MCAP file of ROS 2 or of JSON, or a bag as a database, of which bytes or values are wrong; its mapping beside it."""
+    """An MCAP file of ROS 2 or of JSON, or a bag as a database, of which bytes or values are wrong; and its mapping."""
     units = ("s", "rad", "rad", "A")
     columns = {k: {"column": v, "unit": u} for (k, v), u in zip(_COLUMNS.items(), units, strict=True)}
     mapping = {"format": 1, "name": "log", "joint": "test-joint", "link": {"inertia": 0.35, "gravity_moment": 9.0}}
@@ -413,7 +413,7 @@ def _json_mcap(told: list[tuple[str, Any]], path: Path) -> Path:
 
 
 def _bag(told: list[tuple[str, Any]], folder: Path, rng: random.Random) -> Path:
-    """A bag whose database holds whatever SQLite takes: text for numbers, nothing, blobs."""
+    """A bag whose database holds anything that SQLite accepts: text for numbers, nothing, blobs."""
 
     def odd(value: Any) -> Any:
         return rng.choice([None, "x", b"\xff\x00", -1, 2**62, 1.5, "", "../x"]) if rng.random() < 0.003 else value
@@ -475,7 +475,7 @@ def _validate(out: Path) -> None:
 
 
 def make(case: Case, rng: random.Random, folder: Path) -> Path:
-    """An input of a kind in a folder of its own."""
+    """An input of a kind in a separate folder."""
     if case.name == "results":
         return results_damaged(rng, folder)
     if case.name == "messages":

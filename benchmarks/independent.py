@@ -1,10 +1,11 @@
 """Estimators on joints of another simulator: `python -m benchmarks independent` writes docs/independent.csv, a section of
 docs/estimators.md and README's first table.
 
-The plant is `tests/estimator/independent_plant.py`: equations and integration of its own. A draw is a joint within its
-tolerances with three recordings (free, loaded, loaded and pushed), whose motions, loads and pushes are drawn as well. Estimators
-know the nominal description and the nominal load, and run as `flexspline estimate` runs them. Errors are RMS over all samples
-against the true torque. The augmented filter was tuned on seeds 200 to 229; some joints of seeds 300 to 531 were looked at.
+The plant is `tests/estimator/independent_plant.py`: separate equations and integration. A draw is a joint within its
+tolerances with three recordings (free, loaded, loaded and pushed), whose motions, loads and pushes are drawn as well.
+Estimators know the nominal description and the nominal load, and run as `flexspline estimate` runs them. Errors are RMS
+over all samples against the true torque. The augmented filter was tuned on seeds 200 to 229; some joints of seeds 300 to
+531 were looked at.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from flexspline.scenarios.evaluation.draws import geometric
 from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.views.limit_tables import markdown
 
-from . import kept
+from . import kept, plots
 from .pages import ROOT, fill, text
 
 FIRST = 600
@@ -128,6 +129,18 @@ def table(rows: Sequence[Row]) -> str:
     return markdown(heads, lines)
 
 
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Draw the ratios of `table`."""
+    panels = {
+        label: [
+            (name, "", geometric(error(rows, imperfect, name), error(rows, imperfect, REFERENCE)))
+            for name in NAMES[:-1]
+        ]
+        for imperfect, label in LABELS.items()
+    }
+    plots.intervals(path, panels, f"RMS error / {REFERENCE}'s")
+
+
 def beliefs(rows: Sequence[Row], name: str = NAMES[0]) -> str:
     """Whether an estimator knows how wrong it is, by kind of joint and recording."""
     lines = []
@@ -173,6 +186,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         print(f"seed {one[0]}, {LABELS[one[1]]}", flush=True)
     fill(asked.page, {"independent": table(rows), "independent beliefs": beliefs(rows)})
     fill(asked.readme, {"independent": table(rows)})
+    figure(rows, asked.page.parent / "figures" / "independent.png")
     print(table(rows))
 
 

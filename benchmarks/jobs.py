@@ -75,7 +75,7 @@ def recording(seconds: float, amplitude: float = 0.4) -> Recording:
 
 
 def content(out: Path) -> dict[str, bytes]:
-    """A folder's files as they are, hidden ones and a person's own left out."""
+    """Contents of a folder's files, without hidden ones and a person's."""
     return {
         p.relative_to(out).as_posix(): p.read_bytes()
         for p in out.rglob("*")

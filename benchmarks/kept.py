@@ -1,5 +1,4 @@
-"""Rows of a benchmark as they are kept beside the pages, a CSV: what is there is not computed again; what is not, on several
-processes."""
+"""Keep rows of a benchmark in a CSV next to the pages; compute the missing ones on several processes."""
 
 from __future__ import annotations
 
@@ -45,7 +44,7 @@ def computed(
     minutes: float = math.inf,
     initializer: Callable[[], object] | None = None,
 ) -> Iterator[tuple[tuple[Any, ...], Future[Any]]]:
-    """Arguments and what became of `function` with them, as it is done on several processes.
+    """Yield arguments and results of `function` from several processes.
 
     Args:
       function: importable.

@@ -1,9 +1,8 @@
-"""Mistakes hidden in sound measurements, and how many are found; what is claimed of sound ones.
+"""Mistakes hidden in sound measurements: how many are found, and what is claimed of sound ones.
 
-`python -m benchmarks.mistakes`: every kind of mistake, in several sizes, in every example of the shared data (`--folder`); and
-sound measurements: the examples, the same with channels taken away or cut short, and joints drawn anew, with the imperfections of
-real ones.
-`python -m benchmarks mistakes` takes every fifth example.
+`python -m benchmarks.mistakes` hides every kind of mistake, in several sizes, in every example (`--folder`). Sound
+measurements are the examples, the same with fewer channels or cut short, and drawn joints with imperfections. `python -m
+benchmarks mistakes` uses every fifth example.
 """
 
 from __future__ import annotations
@@ -297,7 +296,7 @@ def without_channels(measurement: Measurement) -> Iterator[Measurement]:
 
 
 def drawn(count: int, seed: int) -> Iterator[tuple[Measurement, Joint]]:
-    """Sound measurements of joints drawn anew, with imperfections, one effect or none, with and without a sensor, one encoder."""
+    """Sound measurements of drawn joints, with imperfections, one effect or none, with and without a sensor, one encoder."""
     from flexspline.diagnosis.trials.draw import Challenge, draw
 
     joints = ("test-joint", "lara8-joint3")

@@ -1,10 +1,9 @@
-"""Plausible wrong inputs, and whether they are answered: silent nonsense is a number that cannot be right, and no word of it.
+"""Plausible wrong inputs: silent nonsense is a wrong number without a warning.
 
-A sound measurement of two recordings is simulated on a drawn joint, free and with pushes, and one thing in it is made wrong:
-another joint's description, a load, the clock, the direction of time, swapped recordings, a damaged sensor, a number of the
-description. `check` answers by a mistake by name, `estimate` by a refusal or a warning. What neither answers goes to `diagnose`
-where there is time for that, which may find the data inconclusive. An input is made of its seed and number alone: `one(7, 12)`
-makes it again.
+A sound measurement of two recordings is simulated on a drawn joint, free and with pushes. Then one thing is made wrong:
+another joint's description, a load, the clock, the direction of time, swapped recordings, a damaged sensor, a number of
+the description. `check` answers with a mistake by name, `estimate` with a refusal or a warning. `diagnose`, if there is
+time, may find the data inconclusive. An input is made from its seed and number alone.
 """
 
 from __future__ import annotations
@@ -223,7 +222,7 @@ def _estimated(path: Path) -> str:
 
 
 def nonsense(count: int, seed: int, processes: int, until: float, seconds: float = 0.0) -> list[Answered]:
-    """Answer so many inputs of a seed in processes of their own, as many as there is time for.
+    """Answer so many inputs of a seed in separate processes, as many as time allows.
 
     Args:
       count, seed: of the inputs.

@@ -1,4 +1,4 @@
-"""Pages that benchmarks write: numbers with their intervals, and tables between a page's markers."""
+"""Write numbers with intervals, and tables between a page's markers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def share(values: np.ndarray) -> str:
 
 
 def _wrapped(text: str) -> str:
-    """Paragraphs of prose in lines of the pages' width; tables as they are."""
+    """Wrap paragraphs to the pages' width, but not tables."""
     parts = text.split("\n\n")
     fill_ = textwrap.TextWrapper(_WIDTH, break_long_words=False, break_on_hyphens=False).fill
     return "\n\n".join(part if part.startswith("|") else fill_(part) for part in parts)

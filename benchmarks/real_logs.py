@@ -1,8 +1,8 @@
-"""Logs of real joints: what the description, a plain regression and a diagnosis predict of seconds that none of them has seen.
+"""Logs of real joints: error of the description, a plain regression and a diagnosis on seconds that none of them has seen.
 
-Each log is cut in time. The regression and the diagnosis see the first part. The error is that of the current or torque in the
-last part, sample by sample, in motion (faster than 5 % of the usual largest speed). `python -m benchmarks real_logs` writes the
-table of docs/real_logs.md. The recordings are no part of this project: `--shared` says where they are.
+Each log is split in time. Regression and diagnosis get the first part. The error is that of the current or torque in the
+last part, sample by sample, in motion (faster than 5 % of the usual largest speed). `python -m benchmarks real_logs`
+writes table and figure of docs/real_logs.md. The recordings are not part of this project: `--shared` is their folder.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ from flexspline.models.arm import ArmSpec
 from flexspline.models.datasheet import Datasheet, new_joint
 from flexspline.models.joint import Joint, Mounting, load_joint
 from flexspline.models.recording import Measurement, Recording, in_arm
+from flexspline.scenarios.evaluation.intervals import Interval
+
+from . import plots
 
 PAGE = Path(__file__).parents[1] / "docs" / "real_logs.md"
 TRAINED = 0.6
@@ -211,6 +214,16 @@ def _moving(recording: Recording) -> np.ndarray:
     return inside & (speed > MOVING * np.quantile(speed[inside], 0.98))
 
 
+def figure(rows: Sequence[str], path: Path) -> None:
+    """Draw the errors of description and diagnosis over the regression's, from rows of the table."""
+    points: list[plots.Point] = []
+    for cells in ([cell.strip() for cell in row.strip("| ").split("|")] for row in rows):
+        described, regression, diagnosed = map(float, cells[2:5])
+        for name, value in (("description", described / regression), ("diagnosis", diagnosed / regression)):
+            points.append((f"{cells[0]}: {cells[1].partition(' [')[0]}", name, Interval(value, value, value, 1)))
+    plots.intervals(path, {"": points}, "RMS error / regression's")
+
+
 def main(words: Sequence[str] = ()) -> None:
     """Print the table, and write it into the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks real_logs", description=__doc__)
@@ -235,3 +248,4 @@ def main(words: Sequence[str] = ()) -> None:
         PAGE.write_text(
             re.sub("<!-- begin real logs -->.*<!-- end real logs -->", table, text, flags=re.S), encoding="utf-8"
         )
+        figure(rows[2:], PAGE.parent / "figures" / "real_logs.png")

@@ -1,8 +1,8 @@
-"""Reliability in numbers: inputs made at random, plausible wrong inputs, processes killed, disks that fill up, memory.
+"""Reliability in numbers: random inputs, plausible wrong inputs, killed processes, full disks, memory.
 
-`python -m benchmarks.reliability` runs as much of every part as `--minutes` allow (10); with names of parts (fuzz, nonsense,
-exchanges, kills, disk, memory) these. `--inputs`, `--wrong`, `--kills` and `--seed` say how much of it at most; what was done is
-counted. Exit code 1 where anything failed. docs/reliability.md has the figures.
+`python -m benchmarks.reliability` runs as much of every part as `--minutes` (10) allow; names of parts (fuzz, nonsense,
+exchanges, kills, disk, memory) select them. `--inputs`, `--wrong`, `--kills` and `--seed` limit them. Exit code 1 after a
+failure. The figures are in docs/reliability.md.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from .jobs import Job, content, jobs, recording
 from .nonsense import nonsense
 
 HANG = 60.0
-"""Seconds of a processor after which an input counts as one that hangs, compiling included."""
+"""Seconds of a processor after which an input counts as frozen, compiling included."""
 _BATCH = 50
 PARTS = {"fuzz": 0.2, "nonsense": 0.45, "exchanges": 0.05, "kills": 0.15, "disk": 0.1, "memory": 0.05}
 """Parts, and the share of the time that each may take where all are run."""
@@ -52,7 +52,7 @@ class Fuzzed:
 
 
 def fuzz(count: int, seed: int, processes: int = 2, until: float = math.inf) -> Fuzzed:
-    """Use `count` inputs in processes of their own, so that one that hangs or takes its process down is seen; `until`: when no
+    """Use `count` inputs in separate processes, so that one that freezes or ends its process is seen; `until`: when no
     further batch begins, as of `time.time`."""
     spans = [(begin, min(begin + _BATCH, count)) for begin in range(0, count, _BATCH)]
     outcomes: Counter[tuple[str, str]] = Counter()
@@ -87,7 +87,7 @@ def _batch(seed: int, begin: int, end: int) -> Iterator[tuple[str, str, str]]:
                 yield kind, became, f"{kind} {number}: {' '.join(failure)}" if failure[0] else ""
                 begin = int(number) + 1
         if begin < end:
-            why = "hangs" if line is None else f"took its process down ({process.wait()})"
+            why = "freezes" if line is None else f"took its process down ({process.wait()})"
             yield "?", "failed", f"input {at}: {why}"
             begin = at + 1
         process.kill()
@@ -300,7 +300,7 @@ def memory(hours: float, commands: Sequence[str] = ("check", "estimate", "run"))
         ):
             if words[0] not in commands:
                 continue
-            # Compiled once and for all, into a folder of its own: another measurement's estimates are not replaced.
+            # Compiled once and for all, into a separate folder: estimates of another measurement are not replaced.
             first = [word.replace(str(folder / "m"), str(folder / "short")) for word in words]
             if "--out" in first:
                 first[first.index("--out") + 1] += "-first"

@@ -1,9 +1,8 @@
-"""The shipped studies: `python -m benchmarks studies` writes the tables of docs/studies.md and a CSV of each beside it.
+"""The shipped studies: `python -m benchmarks studies` runs them and writes the tables, figures and CSVs of docs/studies.md.
 
-Together they take hours of a core: `noise_and_load` an hour and a half, `model_error` three quarters of one. Of these two a part
-runs (`REDUCED`), unless `--whole` is given. The datasets are kept (`--out`), and those of whole studies are those of `flexspline
-sweep`: interrupted, either goes on. The first draws of all points come first, so that what is there at any time is the study
-with fewer draws; `--tables` writes the page from that, and every table says how many draws it has.
+Together they take hours of a core: `noise_and_load` an hour and a half, `model_error` three quarters of one. These two run in
+part (`REDUCED`) unless `--whole` is given. The datasets are kept (`--out`), and an interrupted run continues.
+`--tables` writes tables and figures from the CSVs.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import Any
 
 from flexspline.scenarios.studies.dataset import Dataset
 from flexspline.scenarios.studies.design import Design
-from flexspline.scenarios.studies.statistics import Aggregate, aggregate, write_csv
+from flexspline.scenarios.studies.statistics import Aggregate, aggregate, read_csv, write_csv
 from flexspline.scenarios.studies.study import Study, Value, load_study
 from flexspline.scenarios.studies.sweep import sweep, versions
 from flexspline.views.figures.sheet import save
@@ -23,6 +22,7 @@ from flexspline.views.limit_tables import markdown
 from flexspline.views.sweep_figures import sweep_figure
 from flexspline.views.sweep_tables import cell, metric_column, value_text
 
+from . import plots
 from .pages import ROOT, fill
 
 STUDIES = ("load_dependent_alpha", "noise_and_load", "model_error")
@@ -46,15 +46,25 @@ REDUCED: Mapping[str, Mapping[str, Any]] = {
     },
 }  # fmt: skip
 """What of a study runs, unless it is to be whole: keys that take other values, and of its axes, by name or kind."""
-SHOWN: Mapping[str, tuple[str, ...]] = {
-    "load_dependent_alpha": ("rms", "response_ms", "robust_share"),
-    "noise_and_load": ("rms", "response_ms", "robust_share"),
-    "model_error": ("rms",),
+SHOWN: Mapping[str, tuple[str, ...]] = {name: ("rms",) for name in STUDIES}
+"""Measures of a study's table on the page; its CSV has all."""
+AT: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
+    "load_dependent_alpha": {"load": (1.0, 4.0, 12.0)},
+    "noise_and_load": {"load": (3.0, 12.0), "noise_level": (1.0, 3.0, 10.0)},
+    "model_error": {
+        "size": (0.0, 1.0),
+        "scenario": ("link_sweep",),
+        "cause": (
+            "none", "stiffness", "kinematic_error", "hysteresis", "backlash", "mesh_friction", "load_dependent_friction",
+            "torque_constant", "cogging", "gravity_moment", "encoder_delay", "link_encoder_eccentricity",
+        ),
+    },
+}  # fmt: skip
+"""Points of a study's table on the page, by axis; its CSV has all."""
+FIGURES: Mapping[str, tuple[str, str]] = {
+    "load_dependent_alpha": ("external_push", "rms"),
+    "noise_and_load": ("external_push", "rms"),
 }
-"""Measures of a study's table on the page; all of them are in its CSV."""
-AT: Mapping[str, Mapping[str, tuple[Any, ...]]] = {"model_error": {"size": (0.0, 1.0)}}
-"""Points of a study's table on the page, where that is not to have all: axis → values."""
-FIGURES: Mapping[str, tuple[str, str]] = {"load_dependent_alpha": ("external_push", "rms")}
 """Of a study's figures the one on the page: scenario and measure."""
 DIGITS = 4
 """Of a CSV's numbers, which have intervals of a per cent and more."""
@@ -71,8 +81,7 @@ def chosen(name: str, whole: bool) -> tuple[Study, Path]:
 
 
 def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at: Mapping[str, Sequence[Any]]) -> str:
-    """Means with intervals and marks: a row for each point of the plant's axes and measure, a column for each filter as it is
-    varied."""
+    """Make a table of means: a row for each point of the plant's axes and measure, a column for each variant of a filter."""
     filters = [axis.name for axis in design.study.filter_axes]
     of: dict[tuple, dict[tuple, Aggregate]] = {}
     for one in found:
@@ -84,7 +93,8 @@ def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at
     heads = [_head(name, zip(filters, values, strict=True)) for name, *values in variants]
     rows: list[tuple[str, ...]] = []
     for (scenario, *values), some in of.items():
-        if any(value not in at.get(axis, (value,)) for axis, value in zip(axes, values, strict=True)):
+        places = zip(("scenario", *axes), (scenario, *values), strict=True)
+        if any(value not in at.get(axis, (value,)) for axis, value in places):
             continue
         for metric in metrics:
             column = metric_column(metric)
@@ -95,7 +105,7 @@ def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at
 
 
 def _head(name: str, values: Iterable[tuple[str, Value | None]]) -> str:
-    """A filter as it is varied: `RAREKF, k 0.25`."""
+    """Name a variant of a filter: `RAREKF, k 0.25`."""
     return ", ".join([name, *(f"{axis} {value_text(value)}" for axis, value in values if value is not None)])
 
 
@@ -112,19 +122,38 @@ def about(runs: Sequence[int], failed: int, whole: Design) -> str:
 
 
 def write(name: str, dataset: Dataset, design: Design, whole: Design, page: Path) -> None:
-    """A study's table on the page, under how it was made, and its CSV; `design`: of the dataset, or with more draws than it has;
-    `whole`: as it is shipped."""
+    """Write a study's CSV, and its part of the page.
+
+    Args:
+      design: of the dataset, or with more draws than it has.
+      whole: the shipped study.
+    """
     found = list(aggregate(dataset))
-    shown = table(found, design, SHOWN[name], AT.get(name, {}))
     runs = [len(dataset.read(cell.index, ["run"])) // len(design.variants) for cell in design.cells]
-    said = about([n for n in runs if n], sum(one.failed for one in found), whole)
-    fill(page, {f"{name} about": said, name: shown})
+    fill(page, {f"{name} about": about([n for n in runs if n], sum(one.failed for one in found), whole)})
     write_csv(found, design, page.with_name(f"study_{name}.csv"), DIGITS)
+    write_page(name, found, design, page)
+
+
+def write_page(name: str, found: Sequence[Aggregate], design: Design, page: Path) -> None:
+    """Write a study's table and figure."""
+    fill(page, {name: table(found, design, SHOWN[name], AT.get(name, {}))})
+    figures = page.parent / "figures"
     if name in FIGURES:
         scenario, metric = FIGURES[name]
         figure = sweep_figure([one for one in found if one.scenario == scenario], design.study, metric)
         assert figure is not None  # every study measures it
-        save(figure, page.parent / "figures" / f"study_{name}.png")
+        save(figure, figures / f"study_{name}.png")
+    if name == "model_error":
+        panels: dict[str, list[plots.Point]] = {}
+        for one in found:
+            if one.filter in ("RAREKF", "current", "momentum_torsion", "augmented") and one.columns["size"] in (
+                0.0,
+                1.0,
+            ):
+                point = (str(one.columns["cause"]), one.filter, one.values["rms"])
+                panels.setdefault(one.scenario, []).append(point)
+        plots.intervals(figures / f"study_{name}.png", panels, "RMS error [N·m]")
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -133,7 +162,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("names", nargs="*", default=list(STUDIES), help="of the studies; all by default")
     parser.add_argument("--seeds", type=int, help="how many draws, instead of the study's")
     parser.add_argument("--whole", action="store_true", help="all points of studies that run in part otherwise")
-    parser.add_argument("--tables", action="store_true", help="of what is there; nothing is computed")
+    parser.add_argument("--tables", action="store_true", help="tables and figures from the CSVs; nothing is computed")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--chunk", type=int, help="runs per file")
     parser.add_argument("--out", type=Path, default=Path("runs/studies"), help="folder of the datasets")
@@ -143,12 +172,15 @@ def main(arguments: Sequence[str] = ()) -> None:
         parser.error(f"unknown study {unknown[0]!r}: expected any of {', '.join(STUDIES)}")
     for name in asked.names:
         whole = Design.of(*load_study(name))
+        if asked.tables:
+            found = read_csv(asked.page.with_name(f"study_{name}.csv"), whole.study)
+            write_page(name, found, whole, asked.page)
+            continue
         study, folder = chosen(name, asked.whole)
         design = Design.of(study, folder)
         fewer = design if asked.seeds is None else Design.of(study.with_seeds(asked.seeds), folder)
         dataset = Dataset.open(asked.out / name, fewer, versions())
-        if not asked.tables:
-            sweep(fewer, dataset, asked.jobs, asked.chunk)
+        sweep(fewer, dataset, asked.jobs, asked.chunk)
         write(name, dataset, design, whole, asked.page)
         print(name, flush=True)
 

@@ -1,4 +1,4 @@
-"""A sweep of the paper's filters beside `mujoco.batch` and `mujoco.rollout` stepping the same models, on the same cores."""
+"""A sweep of the paper's filters, and `mujoco.batch` and `mujoco.rollout` with the same models, on the same cores."""
 
 from __future__ import annotations
 
@@ -170,6 +170,6 @@ def main() -> None:
     print(f"{verdict(cost < UPDATE)})")
 
 
-if __name__ == "__main__":  # a process of its own, whose memory is looked at
+if __name__ == "__main__":  # a separate process, whose memory is measured
     run_sweep(study(int(sys.argv[1]), 10.0), os.cpu_count() or 1)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)

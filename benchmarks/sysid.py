@@ -1,4 +1,4 @@
-"""Our calibration beside `mujoco.sysid` on the same drawn joints: `python -m benchmarks sysid` writes docs/sysid.json and the
+"""The calibration and `mujoco.sysid` on the same drawn joints: `python -m benchmarks sysid` writes docs/sysid.json and the
 tables of docs/sysid.md.
 
 Both get the same three recordings of a joint whose every number is drawn within its tolerance, the same description (numbers,
@@ -9,9 +9,9 @@ the description each. `mujoco.sysid` minimises the error of a simulation (`rollo
 to the described laws as MJCF allows, LuGre friction, no kinematic error, which MJCF cannot say. With `exact`, a compiled
 callback exerts the described laws instead: nothing but integration then separates model and plant. The drive's own position
 controller follows the recorded command in the simulation (a callback): the inputs have no noise then, and the current is an
-output. Our calibration is told neither the controller nor that there is one. Where unmeasured pushes act, a stiff servo takes the
+output. The calibration knows no controller. Where unmeasured pushes act, a stiff servo takes the
 link along the measured motion, and the link's angle does not count. Residuals are motor angle, link angle, joint torque and
-current while the command moves, each divided by its RMS at the start and, once more, after a first fit; beside them stand the
+current while the command moves, each divided by its RMS at the start and, once more, after a first fit; next to them are the
 unknowns over their tolerances. The package's own optimiser (`mujoco`), forward differences, intervals of its
 `calculate_intervals`.
 """
@@ -61,9 +61,7 @@ INTEGRATOR = mujoco.mjtIntegrator.mjINT_EULER  # without `implicitfast`'s dampin
 ITERATIONS = (3, 5)  # of the two fits, at most
 STIFF = 800.0  # rad/s: of the servo that takes the link along where pushes act
 SMOOTHED = 21  # samples over which the link's angle is smoothed for the servo's velocity
-MOVING = (
-    0.1  # rad/s: speed of the command from which on samples count: what friction holds at rest, no rollout can tell
-)
+MOVING = 0.1  # rad/s: speed of the command from which on samples count: no rollout predicts friction at rest
 SKIPPED = 0.05  # s: at the beginning, where the servo settles
 EPS = 1e-3  # standard deviations: step of the forward differences
 DIVERGED = 1e3  # standard deviations: residual of a simulation that is not finite
@@ -106,7 +104,7 @@ class Fitted:
 
 
 class Diverged(Exception):
-    """A simulation beside a point of a fit is not finite: the package goes no further."""
+    """A simulation near a point of a fit is not finite; the package stops."""
 
 
 @dataclass(frozen=True)
@@ -297,7 +295,7 @@ class Rollouts:
         return [*found, x], *shown
 
     def rms(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """RMS of what is left of each channel, by recording."""
+        """RMS residual of each channel, by recording."""
         found, *_ = sysid.residual(x, self.parameters.copy(), self.sequences, self._build, self._compare, n_threads=1)
         return {
             name: self.weights[name] * np.sqrt(np.mean(r.reshape(-1, len(COLUMNS)) ** 2, axis=0))
@@ -305,7 +303,7 @@ class Rollouts:
         }
 
     def weigh(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """Weights from what is left at a point."""
+        """Weights from the residuals at a point."""
         left, noise = self.rms(x), self._noise()
         self.weights = {name: np.maximum(r, noise) for name, r in left.items()}
         return left
@@ -333,7 +331,7 @@ def _drive():
     It reads the commands from the controls of `COMMANDS`, writes the current's into that of the motor, and remembers in
     `userdata`; encoder counts are left out, so that a rollout is a smooth function of the numbers.
     """
-    # What stands before `userdata` must not be empty: its address would be the same.
+    # The field before `userdata` must not be empty: its address would be the same.
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><size nuserdata="4"/><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody>'
         '<actuator><dcmotor joint="j" motorconst="1 1" resistance="1" inductance="1 0"/></actuator></mujoco>'
@@ -379,7 +377,7 @@ def described_laws() -> Iterator[None]:
 
 
 def rolled_out(one: Draw, exact: bool, iterations: Sequence[int] = ITERATIONS) -> Found:
-    """`mujoco.sysid`'s fit, weighed by what is left at the start, and again after a first fit."""
+    """`mujoco.sysid`'s fit, weighted by the residuals at the start, and again after a first fit."""
     begin = time.process_time()
     problem = Rollouts(one, exact)
     x = np.zeros(len(problem.free))
@@ -416,7 +414,7 @@ def rolled_out(one: Draw, exact: bool, iterations: Sequence[int] = ITERATIONS) -
     return Found(problem.unknowns(x), whole, time.process_time() - begin, said)
 
 
-# --- both beside each other ----------------------------------------------------------------------------------------------
+# --- both ----------------------------------------------------------------------------------------------
 
 
 def fitted(hidden: str, index: int, tool: str, fit: Callable[[Draw], Found] | None = None) -> Fitted:
@@ -431,7 +429,7 @@ def fitted(hidden: str, index: int, tool: str, fit: Callable[[Draw], Found] | No
 
 
 def numbers(one: Draw, found: Found) -> dict[str, Number]:
-    """The reported numbers of a draw, with the link mounted, as they are and as they were found."""
+    """The reported numbers of a draw, with the link mounted, true and found."""
     calibration, step = Calibration(one.nominal), 1e-3
     mounting = one.measurement.recordings[-1].link
 

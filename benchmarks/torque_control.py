@@ -1,9 +1,9 @@
-"""Torque control with each estimate in the loop: `python -m benchmarks torque_control` writes the section *In the loop* of
-docs/estimators.md and every number of it, docs/torque_control.csv.
+"""Torque control with each estimate fed back: `python -m benchmarks torque_control` writes a section of docs/contact.md
+and docs/torque_control.csv.
 
-Per draw a joint within a share of its tolerances (`benchmarks.torque_loops`): gain and delay margin and bandwidth
-with the output bolted to a bench, and the error of the torque in the experiment external_push. Medians with distribution-free
-intervals, as margins may be infinite. Draws that are kept are not computed again.
+Each draw is a joint within a share of its tolerances (`benchmarks.torque_loops`). Gain margin, delay margin and bandwidth
+are with the output bolted to a bench, the torque error in the experiment external_push. Medians have distribution-free
+intervals, because margins may be infinite. Draws that are kept are not computed again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from flexspline.scenarios.evaluation.intervals import Interval, median
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_tables import markdown
 
-from . import kept
+from . import kept, plots
 from .pages import ROOT, fill
 
 SENSOR, NONE = "torque sensor", "no torque loop"
@@ -85,6 +85,16 @@ def table(rows: Sequence[Row]) -> str:
     return markdown(heads, [row for _, row in sorted(cells, key=lambda cell: cell[0])])
 
 
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Draw gain margins and errors."""
+    panels: dict[str, list[plots.Point]] = {"gain margin": [], "error [N·m]": []}
+    for name in NAMES[1:]:
+        own = [r for r in rows if r.estimator == name]
+        panels["gain margin"].append((name, "", median([r.gain_margin for r in own])))
+        panels["error [N·m]"].append((name, "", median([r.error for r in own if r.gain_margin >= 1.0])))
+    plots.intervals(path, panels, "median over joints", log=False, shared=False)
+
+
 def write(path: Path, rows: Sequence[Row]) -> None:
     """Keep rows, in order."""
     kept.write(path, sorted(rows, key=lambda r: (NAMES.index(r.estimator), r.draw)), Row)
@@ -95,7 +105,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.torque_control", description=__doc__)
     parser.add_argument("--draws", type=int, default=30, help="joints; 0 writes the table of what is kept")
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "torque_control.csv")
-    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "contact.md")
     asked = parser.parse_args(arguments)
     rows, began = kept.read(asked.kept, Row), time.perf_counter()
     have = {(r.estimator, r.draw) for r in rows}
@@ -107,10 +117,10 @@ def main(arguments: Sequence[str] = ()) -> None:
     about = (
         f"{draws} joints within tolerance ×{TOLERANCE:g}; torque loop gain {DEFAULT.gain:g}, impedance {DEFAULT.stiffness:g} "
         f"N·m/rad, {DEFAULT.damping:g} N·m·s/rad. Medians over draws with distribution-free 95 % intervals. Margins are found "
-        "by bisection to within 10 %: draws that fall into the same step have the same, and an interval of no width says so. "
-        "Every draw: [torque_control.csv](torque_control.csv)."
+        "by bisection to within 10 %, so intervals can have no width. Every draw: [torque_control.csv](torque_control.csv)."
     )
     fill(asked.page, {"control about": about, "control": table(rows)})
+    figure(rows, asked.page.parent / "figures" / "torque_control.png")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ joint, with its friction, its sensors' noise and its control period:
   be added to the drive's. Both with the output bolted to a bench, the stiffest environment, after a step of the wanted torque.
 * **Bandwidth** of the torque, likewise bolted: from the wanted torque u to the joint torque Ts, for a sum of sines; where the
   gain falls to 1/√2 of that at the lowest of them.
-* **Error**: RMS of Ts − u in an experiment of its own, in N·m: what the environment feels that nobody asked for.
+* **Error**: RMS of Ts − u in a separate experiment [N·m]: the unwanted torque on the environment.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def assess(
     Args:
         scenario: its experiment is that of the error; joint, sensors and mounting are those of all. folder: of its file.
         estimator: None: the torque sensor.
-        seed: of the draw. tolerance: share of the joint's tolerances; the estimator and the drive are told the nominal numbers.
+        seed: of the draw. tolerance: share of the joint's tolerances; estimator and drive know the nominal numbers.
         loop: impedance and gain.
 
     Raises:

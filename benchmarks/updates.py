@@ -1,4 +1,4 @@
-"""Time per update of every estimator over a run's signals, beside filterpy's Kalman filter of one state."""
+"""Time per update of every estimator over a run's signals, and of filterpy's Kalman filter of one state."""
 
 from __future__ import annotations
 

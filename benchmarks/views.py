@@ -1,4 +1,4 @@
-"""What a run's pictures take: all figures, and the Rerun recording, of 80 s at 1 kHz with four filters."""
+"""Time of a run's figures and its Rerun recording: 80 s at 1 kHz with four filters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RECORDING = 0.5
 
 
 def main() -> None:
-    """Print the wall times, and what loading matplotlib and Rerun takes beside them."""
+    """Print the wall times, and the time to load matplotlib and Rerun."""
     begin = time.perf_counter()
     import matplotlib.figure  # noqa: F401
 

@@ -19,6 +19,7 @@ from ._options import with_plugins
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ..diagnosis.trials.draw import Challenge
     from ..diagnosis.trials.draw import Hidden as Kind
     from ..diagnosis.trials.score import Outcome
 
@@ -42,6 +43,7 @@ _KINDS: dict[Kind, str] = {
 _LARGEST_SIZE = 100.0
 EXAMPLES = (
     "flexspline challenge --draws 5 --hidden one --out outcomes.json",
+    "flexspline challenge --hidden one --measurement hidden",
     "flexspline challenge --scenario link_sweep --cause backlash --sizes 1,0.3,0.1",
     "flexspline challenge --real --hidden one --without joint_torque --without motor_position",
 )
@@ -82,6 +84,13 @@ def command(
     out: Annotated[
         Path | None, typer.Option(help="write every draw and all tables to this file, .json or .parquet")
     ] = None,
+    measurement: Annotated[
+        Path | None,
+        typer.Option(
+            "--measurement",
+            help="write the first draw's recordings to this folder, its hidden effects to hidden.json, and diagnose nothing",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Hide effects in simulated joints, diagnose the recordings, and say how often it was right.
@@ -113,6 +122,10 @@ def command(
         )
         for kind in kinds
     ]  # fmt: skip
+    if measurement is not None:
+        _record(measurement, asked[0])
+        console().print(f"{measurement}", highlight=False)
+        return
     outcomes: list[Outcome] = []
     with progress(counting=True, remaining=True) as bar:
         task = bar.add_task("diagnosing draws", total=draws * len(scanned) * len(asked))
@@ -134,6 +147,20 @@ def command(
     _show(console(), how, outcomes, scanned)
     if out is not None:
         console().print(f"{out}", highlight=False)
+
+
+def _record(path: Path, challenge: Challenge) -> None:
+    """Write the recordings of the first draw, and what is hidden in them."""
+    from ..diagnosis.trials.draw import draw
+    from ..models.files import json_text
+    from ..models.recording import write_recording
+
+    with output_folder(path, "challenge", whole=True) as folder:
+        drawn = draw(challenge, 0)
+        for recording in drawn.measurement.recordings:
+            write_recording(recording, folder)
+        hidden = [{"name": e.name, "parameters": e.values, "description": e.description} for e in drawn.effects]
+        (folder / "hidden.json").write_text(json_text(hidden) + "\n", encoding="utf-8")
 
 
 def _sizes(text: str) -> tuple[float, ...]:

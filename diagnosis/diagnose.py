@@ -34,7 +34,7 @@ from .search.explore import Explored, Explorer, Progress
 from .search.identifiability import limits
 from .search.plain import least_squares, moving, plain_fit
 from .search.posterior import quiet_rms
-from .search.worth import left_by, noise_of
+from .search.worth import alone, left_by, noise_of
 from .telling import answer_of, meaningless, nothing_usable
 
 
@@ -103,6 +103,8 @@ def diagnose(
         if _unseen(problem, other.best) < _unseen(problem, found.best):
             found, unknown, slow_too = other, None, False
     progress("numbers and their uncertainty", 0.92)
+    if not slow_too:
+        found = _serving(problem, explorer, found)
     if slow_too:
         problem, final = _corrected(problem, _at_its_end(Fitter(problem), found.best))
         judged = final = _inflated(problem, final)
@@ -125,6 +127,25 @@ def diagnose(
     )  # fmt: skip
     answer = replace(answer_of(conclusion, measurement), mistakes=mistakes, regressions=said)
     return _noted(replace(answer, seconds=time.monotonic() - begin), measurement)
+
+
+def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
+    """What was found less the causes without which regions that a fit has not seen are predicted as well."""
+    best, fitter = found.best, explorer.fitter
+    while any(h.free for h in best.model):
+        fewer = [
+            fitter.fit(tuple(g for g in best.model if g is not h), best.theta[alone(problem, best, i)[1]])
+            for i, h in enumerate(best.model)
+            if h.free
+        ]
+        less = min(fewer, key=lambda f: _unseen(problem, f))
+        if _unseen(problem, less) > _unseen(problem, best):
+            break
+        best = less
+    if best is found.best:
+        return found
+    _, models = explorer.neighbours(best, explorer.library(best))
+    return replace(found, best=best, models=tuple(models))
 
 
 def _unseen(problem: Problem, f: Fit) -> float:

@@ -71,6 +71,7 @@ _PLACES = {
     "torque_sensor_offset": ("sensors", "joint_torque", "offset"),
     "Jl": ("link_tolerances", "inertia"),
     "Mg": ("link_tolerances", "gravity_moment"),
+    "arm_load": ("link_tolerances", "arm"),
     "gravity_angle": ("gravity_angle",),
 }
 """Where in a joint's description the numbers stand that are not in `numbers`."""

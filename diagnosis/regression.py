@@ -339,19 +339,21 @@ def _of_joint(
     else:
         factor = {
             "gravity": moment * output,
-            "Coulomb friction": output / N,
-            "viscous friction": output / N**2,
+            "Coulomb friction": output / N if driven else 1.0,
+            "viscous friction": output / N**2 if driven else 1.0,
             "offset": 1.0,
         }.get(name, output)
         number = factor * value
+    if name == "inertia" and alone and not driven:
+        number += float(p["Jl"])
     meanings: dict[str, tuple[str, str, Callable[[np.void], float]]] = {
         "sensor torque": ("Kt", "N·m/A", lambda r: r["Kt"]),
         "gravity": ("gravity_moment", "N·m", lambda r: r["Mg"]),
-        "arm": ("arm_scale", "1", lambda r: 1.0),
+        "arm": ("arm_scale", "1", lambda r: r["arm_scale"]),
         "inertia": (
-            "rotor_inertia" if alone else "inertia",
+            "rotor_inertia" if alone and driven else "inertia",
             "kg·m²",
-            lambda r: (not alone) * r["Jl"] + driven * N * N * (r["Jm"] + r["Jw"]),
+            lambda r: (not (alone and driven)) * r["Jl"] + driven * N * N * (r["Jm"] + r["Jw"]),
         ),
         "load friction": ("load_dependent_friction", "1", lambda r: r["friction_load"]),
         "offset": ("offset", unit, lambda r: r[offset]),
@@ -359,6 +361,9 @@ def _of_joint(
     if driven:
         meanings["Coulomb friction"] = ("Fc", "N·m", lambda r: r["Fc"])
         meanings["viscous friction"] = ("viscous", "N·m·s/rad", lambda r: r["bw"] + r["bm"] + r["bl"] / N**2)
+    else:
+        meanings["Coulomb friction"] = ("link_friction", "N·m", lambda r: r["link_friction"])
+        meanings["viscous friction"] = ("link_damping", "N·m·s/rad", lambda r: r["link_damping"])
     if name not in meanings:
         return Coefficient(name, value, std)
     means, unit, of = meanings[name]

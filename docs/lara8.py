@@ -1,7 +1,7 @@
 """What docs/lara8.md states, computed: hold-out table, figures, and the extended joint, from the measured sweep.
 
-python -m docs.lara8 ../shared/data/lara8/joint3_outbound.csv          # table and figures
-python -m docs.lara8 ../shared/data/lara8/joint3_outbound.csv --write  # and models/lara8_joint3_extended.yaml
+python -m docs.lara8 joint3_outbound.csv          # table and figures
+python -m docs.lara8 joint3_outbound.csv --write  # and models/lara8_joint3_extended.yaml
 """
 
 from __future__ import annotations
@@ -213,24 +213,6 @@ def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
     return rows
 
 
-def diagnosed_whole(recording: Recording) -> Iterator[tuple[str, Diagnosis, list[list[float]]]]:
-    """What `flexspline diagnose` makes of the whole sweep under assumed truths.
-
-    RMS [N·m] at q > 0 with the nominal joint, with the one that it wrote from the outbound half alone, and with this one.
-    """
-    nominal = load_joint(recording.joint)
-    by_hand = extend(recording, nominal)
-    outbound = diagnose(Measurement("outbound", Path(), (recording,)), nominal).extended
-    for name, share in SHARES:
-        whole, where = mirrored(recording, by_hand, share)
-        answer = diagnose(Measurement("whole", Path(), (whole,)), nominal)
-        rows = []
-        for joint in (nominal, outbound, answer.extended):
-            found = estimate_recording(whole, joint, DIAGNOSED).external_torque
-            rows.append([float(np.sqrt(np.mean((found[e] - whole["external_torque"])[where] ** 2))) for e in DIAGNOSED])
-        yield name, answer, rows
-
-
 def figures(recording: Recording, path: Path, folder: Path) -> None:
     """Draw both figures of the page."""
     joint, q, S = load_joint(recording.joint), recording["link_position"], recording["external_torque"]
@@ -313,21 +295,13 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     for name, values in assumed(recording):
         print(f"| {name} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
-    print("| held out | found | " + " | ".join(DIAGNOSED) + " |")
-    print("|---" * (len(DIAGNOSED) + 2) + "|")
+    shown = DIAGNOSED[1:]
+    print("| held out | cause (confidence) | " + " | ".join(f"{n}: nominal | diagnosed" for n in shown) + " |")
+    print("|---" * (2 * len(shown) + 2) + "|")
     for (name, answer, values), nominal in zip(diagnosed(recording), described(recording), strict=True):
         causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict
-        print(f"| {name} | {causes} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
-        print("| … the nominal joint | | " + " | ".join(f"{v:.2f}" for v in nominal) + " |")
-    print()
-    print("| friction when the load drives | joint | found | " + " | ".join(DIAGNOSED) + " |")
-    print("|---" * (len(DIAGNOSED) + 3) + "|")
-    for name, answer, rows in diagnosed_whole(recording):
-        causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict
-        for what, said, values in zip(
-            ("nominal", "from the outbound half", "from the whole sweep"), ("", "", causes), rows, strict=True
-        ):
-            print(f"| {name} | {what} | {said} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
+        pairs = [f"{a:.2f} | {b:.2f}" for a, b in zip(nominal[1:], values[1:], strict=True)]
+        print(f"| {name} | {causes} | " + " | ".join(pairs) + " |")
     print()
     folder = HERE / "figures"
     folder.mkdir(exist_ok=True)

@@ -19,6 +19,7 @@ from flexspline import commands
 from flexspline.commands.schema import KINDS, schema_of
 
 ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("models", "sim", "estimator", "scenarios", "diagnosis", "views", "commands")
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -30,6 +31,7 @@ def on_files(files: Any, config: Any) -> Any:
     made |= {
         "reference/commands.md": commands_page(),
         "reference/python.md": python_page(),
+        "reference/modules.md": modules_page(),
         "examples.md": examples_page(),
     }
     for path, text in made.items():
@@ -59,8 +61,8 @@ def commands_page() -> str:
                 called = ", ".join(f"`{o}`" for o in (*option.opts, *option.secondary_opts) if o != "--help")
                 if option.param_type_name == "argument":
                     called = f"`{option.metavar or option.name}`"
-                told = getattr(option, "help", None) or ""
-                rows.append(f"| {called} | {told} |".replace("\n", " "))
+                text = getattr(option, "help", None) or ""
+                rows.append(f"| {called} | {text} |".replace("\n", " "))
             parts.append("\n".join(row for row in rows if not row.startswith("|  |")))
     return "\n\n".join(parts) + "\n"
 
@@ -76,13 +78,29 @@ def python_page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def modules_page() -> str:
+    """Every module of the package with the first paragraph of its docstring."""
+    parts = ["# Modules", "[Architecture](../architecture.md) says how the folders depend on each other."]
+    for room in ROOMS:
+        for folder in sorted({path.parent for path in (ROOT / room).rglob("*.py")}):
+            parts.append(f"## {folder.relative_to(ROOT).as_posix()}/")
+            rows = ["| module | purpose |", "|---|---|"]
+            for path in sorted(folder.glob("*.py")):
+                text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+                first = " ".join(text.partition("\n\n")[0].split()).replace("|", "\\|")
+                if path.name != "__init__.py" or first:
+                    rows.append(f"| `{path.name}` | {first} |")
+            parts.append("\n".join(rows))
+    return "\n\n".join(parts) + "\n"
+
+
 def examples_page() -> str:
     """The programs of `examples/`, whole."""
-    parts = ["# Programs", "Each runs as it is, in an empty folder; tests run them all."]
+    parts = ["# Programs", "Each runs in an empty folder; tests run them all."]
     for path in sorted((ROOT / "examples").glob("*.py")):
         text = path.read_text(encoding="utf-8")
-        told = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
-        parts += [f"## {path.stem}", told, f"```python\n{text}```"]
+        first = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+        parts += [f"## {path.stem}", first, f"```python\n{text}```"]
     return "\n\n".join(parts) + "\n"
 
 
@@ -113,11 +131,11 @@ def _mentioned(schema: dict[str, Any], known: dict[str, Any]) -> list[str]:
 
 
 def _section(schema: dict[str, Any], known: dict[str, Any]) -> Iterator[str]:
-    """What it is, what may stand in its place, and a table of its keys."""
+    """Describe it, its alternatives, and its keys in a table."""
     yield schema.get("description", "").partition("\n\nAttributes:")[0]
     for other in schema.get("anyOf", ()):
         if "properties" not in other:
-            yield f"A {other['type']} may stand in its place."
+            yield f"A {other['type']} may be used instead."
     whole = next((one for one in schema.get("anyOf", ()) if "properties" in one), schema)
     required = whole.get("required", ())
     rows = ["| key | | default | |", "|---|---|---|---|"]

@@ -1,6 +1,6 @@
 """What docs/ur3e.md states, computed from the measured half of a UR3e's shoulder: diagnosed on one part, held against another.
 
-python docs/ur3e.py ../shared/data/ur3e/shoulder_first_half.csv
+python docs/ur3e.py shoulder_first_half.csv
 """
 
 from __future__ import annotations

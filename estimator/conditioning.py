@@ -158,6 +158,7 @@ def condition(recording: Recording, joint: Joint) -> Conditioned:
 def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[str] = ()) -> Joint:
     """Return the joint with sensors as coarse as a log's readings; the same joint if the description is right.
 
+    The torque of an arm's other links has the tolerance of the gravity moment, unless the description has its own.
     Columns in `wrong`, for example in another unit, are ignored.
     """
     changed: dict[str, Any] = {}
@@ -168,7 +169,12 @@ def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[s
         if isinstance(spec, EncoderSpec) and one.what == "step":
             new = {"counts": max(round(2 * np.pi / one.found), 2), "bits": None}
         changed[channel.sensor] = spec.model_copy(update=new)
-    return joint.model_copy(update={"sensors": joint.sensors.model_copy(update=changed)}) if changed else joint
+    update: dict[str, Any] = {"sensors": joint.sensors.model_copy(update=changed)} if changed else {}
+    gravity = joint.link_tolerances.get("gravity_moment")
+    if gravity is not None and "arm" not in joint.link_tolerances and any(r.load is not None for r in recordings):
+        arm = gravity.model_copy(update={"value": 1.0, "nominal": None, "std": None})
+        update["link_tolerances"] = joint.link_tolerances | {"arm": arm}
+    return joint.model_copy(update=update) if update else joint
 
 
 # --- steps and repeats -----------------------------------------------------------------------------------------------

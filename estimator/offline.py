@@ -202,8 +202,9 @@ def estimate_recording(
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
     conditioned = conditioned or condition(recording, joint)
     blind = conditioned.recording.signals.without("joint_torque", "external_torque")
+    arm_torque = known.record[0]["arm_scale"] * recording.torque_of_arm
     if recording.load is not None:
-        blind = blind.with_columns(arm_torque=recording.torque_of_arm)
+        blind = blind.with_columns(arm_torque=arm_torque)
     n = len(recording.time)
     found, deviation = (
         {what: Spool(n, spool, f"{recording.name}_{kind}{what}") for what in _QUANTITIES} for kind in ("", "deviation_")
@@ -231,7 +232,7 @@ def estimate_recording(
             if bands:
                 estimates[what, name] = values
             if what == "external_torque":
-                values = values - recording.torque_of_arm[segment]
+                values = values - arm_torque[segment]
             found[what].put(name, segment, values)
 
         _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS, untrusted)

@@ -19,7 +19,7 @@ class PinchedHose(Cause):
     name = "pinched_hose"
     component = "link"
     description = "a hose is pinched and pushes back near one angle of the link: −A exp(−((θl − c)/w)²)"
-    adds = True  # a second hose beside the first
+    adds = True  # a second hose in addition to the first
     requires = Requirements(link_travel=0.5, known_push=True)
     parameters = (
         CauseParameter("torque", "N·m", (0.0, 20.0), ((1.0, 2.5),), magnitude=True),

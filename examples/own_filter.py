@@ -1,4 +1,4 @@
-"""An own filter: the torsion's torque where it is quick, the current's where it is slow, scored beside the others.
+"""An own filter: torque from torsion at high frequencies, from current at low ones, compared with the others.
 
 An estimator is a frozen dataclass with a name and a method `estimate`: signals and what is known of the joint in, a posterior
 out. By its name it is known everywhere, from scenarios too: `flexspline compare --plugin examples/own_filter.py --set

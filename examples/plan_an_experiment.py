@@ -30,7 +30,7 @@ plan = fs.plan(first, joint, found)
 for number, sentence in enumerate(plan.sentences()[:3], 1):
     print(f"{number}. {sentence}")
 
-# Here the simulated joint stands for the bench: the first proposal is carried out on it.
+# The simulated joint is used as the bench: the first proposal is carried out on it.
 best = next(e for e in experiments(first, joint, found) if e.name == plan.proposals[0].name)
 second = perform(best, worn, joint, seed=7)
 found = fs.diagnose(replace(first, recordings=(*first.recordings, second)), joint)

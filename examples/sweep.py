@@ -1,6 +1,6 @@
 """Sweep: how the filters' error grows with noise and load, over seeds, with confidence intervals.
 
-The same study as a YAML file runs by `flexspline sweep STUDY.yaml --out DIR`; interrupted, it goes on where it was.
+The same study as a YAML file runs by `flexspline sweep STUDY.yaml --out DIR`; an interrupted sweep continues.
 """
 
 import os

@@ -23,6 +23,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+if sys.version_info < (3, 11):  # noqa: UP036 - the sources may be used without an installation
+    raise ImportError("flexspline needs Python 3.11 or newer, got %d.%d" % sys.version_info[:2])  # noqa: UP031
+
 if TYPE_CHECKING:
     import mujoco
     import pandas as pd

@@ -156,8 +156,10 @@ def rotor_torque(state, Tw, load, p, passband=0.0):
 
 @kernel(forceinline=True)
 def link_torque(state, load, p):
-    """Return the torque on the link [N·m] without joint torque and external torque: gravity, cable, stop."""
+    """Return the torque on the link [N·m] without joint torque and external torque: gravity, cable, stop, friction."""
     torque = laws.gravity_torque(state.link_position, p) + laws.link_torque(state.link_position, p)
+    if p.link_friction != 0.0 or p.link_damping != 0.0:
+        torque += laws.link_friction(state.link_velocity, p)
     if laws.has_discrepancy(p):
         torque += _discrepancy(_LINK, state, load, p)
     return torque

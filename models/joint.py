@@ -491,8 +491,9 @@ class Joint(Strict):
     """Relative standard deviations that several numbers have in common, by name."""
     kinematic_error: Annotated[list[Order], Field(max_length=N_ORDERS)]
     """Orders of the gear's kinematic error."""
-    link_tolerances: dict[Literal["inertia", "gravity_moment"], Number] = {}
-    """Relative uncertainty of every mounting's inertia and gravity moment: a scale of 1 with a tolerance."""
+    link_tolerances: dict[Literal["inertia", "gravity_moment", "arm"], Number] = {}
+    """Relative uncertainty of every mounting's inertia and gravity moment, and of the torque that an arm's other links put on
+    the joint: a scale of 1 with a tolerance."""
     gravity_angle: Number | None = None
     """Angle [rad] of the link from straight down at θl = 0, for every mounting; 0 by default."""
     mountings: dict[str, Mounting]
@@ -594,6 +595,7 @@ class Joint(Strict):
         for name, field, number, where, unit in (
             ("Jl", "Jl", link.get("inertia"), "link_tolerances.inertia", "1"),
             ("Mg", "Mg", link.get("gravity_moment"), "link_tolerances.gravity_moment", "1"),
+            ("arm_load", "arm_scale", link.get("arm"), "link_tolerances.arm", "1"),
             ("gravity_angle", "gravity_angle", self.gravity_angle, "gravity_angle", "rad"),
             ("link_encoder_zero", "link_zero", s.link_encoder.zero, "sensors.link_encoder.zero", "rad"),
             ("current_offset", "current_offset", s.motor_current.offset, "sensors.motor_current.offset", "A"),
@@ -672,6 +674,7 @@ class Joint(Strict):
         scale = {key: number.value for key, number in self.link_tolerances.items()}
         p["Jl"] = mounting.inertia * scale.get("inertia", 1.0)
         p["Mg"] = mounting.gravity_moment * scale.get("gravity_moment", 1.0)
+        p["arm_scale"] = scale.get("arm", 1.0)
         p["gravity_angle"] = mounting.gravity_angle + (self.gravity_angle.value if self.gravity_angle else 0.0)
         s = self.sensors
         p["link_delay"] = s.link_encoder.delay - s.motor_encoder.delay

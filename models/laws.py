@@ -251,6 +251,9 @@ def cogging_torque(theta_m, p, speed=0.0):
     return torque
 
 
+_LINK_SLIDES = 0.01  # rad/s
+
+
 @kernel
 def link_torque(theta_l, p):
     """Return the torque of a cable spring and a hard stop on the link [N·m]."""
@@ -258,6 +261,12 @@ def link_torque(theta_l, p):
     if theta_l > p.stop_angle:
         torque -= p.stop_stiffness * (theta_l - p.stop_angle)
     return torque
+
+
+@kernel
+def link_friction(velocity, p):
+    """Friction torque of bearing and seal on the link [N·m] at a velocity [rad/s]; its sign changes smoothly about rest."""
+    return -p.link_friction * math.tanh(velocity / _LINK_SLIDES) - p.link_damping * velocity
 
 
 @kernel

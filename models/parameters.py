@@ -55,6 +55,7 @@ PARAMETERS = np.dtype(
         ("friction_temperature", _F), ("reference_temperature", _F), ("viscous_exponent", _F),
         # effects at the link
         ("cable_stiffness", _F), ("cable_rest", _F), ("stop_angle", _F), ("stop_stiffness", _F),
+        ("link_friction", _F), ("link_damping", _F), ("arm_scale", _F),
         ("flexible_share", _F), ("flexible_frequency", _F), ("flexible_damping", _F),
         # sensors
         ("motor_eccentricity", _F), ("motor_eccentricity_phase", _F),
@@ -80,7 +81,7 @@ def neutral() -> np.ndarray:
     p = record[0]
     p["hysteresis_extent"] = 1e-4
     p["drift_time"] = 10.0
-    p["torque_gain"] = 1.0
+    p["torque_gain"] = p["arm_scale"] = 1.0
     p["back_driven_friction"] = 1.0
     p["viscous_exponent"] = 1.0
     p["flexible_frequency"] = 20.0

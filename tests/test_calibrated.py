@@ -1,4 +1,4 @@
-"""Calibrate, then estimate (`python -m benchmarks calibrated`): on short motions, and one draw as it is."""
+"""Calibrate, then estimate (`python -m benchmarks calibrated`): on short motions, and one whole draw."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def one(request, tmp_path_factory) -> Draw:
     return draw(Challenge(seed=calibrated.SEED, hidden="none", real=request.param, scenarios=tuple(map(str, paths))), 0)
 
 
-def test_knowing_the_joint_pays_and_tables_say_so(one: Draw, tmp_path: Path):
+def test_a_known_joint_has_smaller_errors(one: Draw, tmp_path: Path):
     names = ("momentum_torsion", "RAREKF")
     rows = calibrated.errors(one, one.nominal, names, ("none", False, 0, "", "consistent"), duration=8.0)
     assert len(rows) == len(names) * len(calibrated.SCENARIOS)
     for row in rows:
         assert row.exact_rms < row.before_rms, row
-        # The description with an encoder zero that nobody has tared is worse than with one.
+        # An unknown encoder offset makes it worse.
         assert row.estimator != "RAREKF" or row.before_rms < row.after_rms, row
     calibrated.write(tmp_path / "kept.csv", rows)
     assert repr(calibrated.read(tmp_path / "kept.csv")) == repr(rows)  # some never rest within 8 s: NaN
@@ -48,10 +48,10 @@ def test_knowing_the_joint_pays_and_tables_say_so(one: Draw, tmp_path: Path):
     expected = np.exp(np.mean([np.log(r.exact_rms) for r in rows if r.estimator == "RAREKF"]))
     assert results.values("none", False, "RAREKF", "exact") == pytest.approx(expected)
     assert "1 joint with nothing hidden" in calibrated.tables(results, names)["calibrated about"]
-    assert "`RAREKF`" in calibrated.kind_table(results, "none", False, names)
+    assert "`RAREKF`" in calibrated.kind_table(results, False, names)
 
 
-def test_exact_knowledge_is_without_a_doubt(one: Draw):
+def test_exact_knowledge_has_no_uncertainty(one: Draw):
     from flexspline.scenarios.experiment import Experiment
     from flexspline.scenarios.scenario import load_scenario
 
@@ -65,7 +65,7 @@ def test_exact_knowledge_is_without_a_doubt(one: Draw):
 
 @pytest.mark.long
 @pytest.mark.slow
-def test_a_diagnosed_joint_is_worth_nearly_what_an_exact_one_is():
+def test_a_diagnosed_joint_is_nearly_exact():
     rows = calibrated.assessed("none", False, 0, ("RAREKF", "dynamics_ekf"))
     results = calibrated.Results(rows)
     for name in ("RAREKF", "dynamics_ekf"):

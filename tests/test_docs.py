@@ -1,7 +1,8 @@
-"""README and docs are true: files that they name are there, commands and options exist, snippets are read and run."""
+"""README and docs are right: named files, commands and options exist; snippets are parsed and run."""
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import json
@@ -45,7 +46,7 @@ MADE = {
 }  # fmt: skip
 """Files that commands or people make, and patterns."""
 BUILT = re.compile(r"(?:reference/\w+|examples)\.md")
-"""Pages that `docs/site_pages.py` makes when the site is built."""
+"""Pages that `docs/site_pages.py` makes for the site."""
 OWN = re.compile(r"(?:^    (?:\S*/)?|`)flexspline ([a-z]+)(?: ([^`#\n]*))?", re.MULTILINE)
 
 
@@ -54,7 +55,7 @@ def ids(pages):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
-def test_files_that_are_named_are_there(page):
+def test_named_files_exist(page):
     text = page.read_text(encoding="utf-8")
     named = set(re.findall(r"`([\w./-]+\.(?:py|yaml|xml|md|csv))`", text)) - MADE
     anywhere = {path.name for room in ROOMS for path in (ROOT / room).rglob("*")}
@@ -72,16 +73,15 @@ def test_files_that_are_named_are_there(page):
     assert not missing
 
 
-@pytest.mark.parametrize("room", ["models", "sim", "estimator", "scenarios", "diagnosis"])
-def test_every_file_of_a_room_has_its_place(room):
-    """docs/architecture.md says what each is for."""
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    files = {path.name for path in (ROOT / room).glob("*.py")} - {"__init__.py"}
-    assert not [name for name in sorted(files) if f"`{name}`" not in text]
+def test_every_module_has_a_purpose():
+    """The page of modules shows the first paragraph of each docstring."""
+    rooms = ("commands", "diagnosis", "estimator", "models", "scenarios", "sim", "views")
+    modules = [path for room in rooms for path in (ROOT / room).rglob("*.py") if path.name != "__init__.py"]
+    assert not [path for path in modules if not ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
-def test_commands_and_their_options_are_there(page):
+def test_commands_and_options_exist(page):
     wrong = []
     for name, rest in OWN.findall(page.read_text(encoding="utf-8").replace("\\\n", " ")):
         folder = name if (ROOT / "commands" / name).is_dir() else ""
@@ -98,7 +98,7 @@ def test_commands_and_their_options_are_there(page):
 
 
 def options(name: str, folder: str = "") -> set[str]:
-    """Options of a command as they are typed."""
+    """Return the options of a command."""
     module = ".".join(part for part in ("flexspline.commands", folder, commands._files(folder)[name]) if part)
     function = importlib.import_module(module).command
     found = {"--help"}
@@ -144,35 +144,52 @@ def test_programs_are_python(page):
         compile(text, page.name, "exec")
 
 
-def test_what_a_diagnosis_holds_is_said():
-    """Every key of the whole answer, and of a cause, a region and a shift in it."""
+def test_every_key_of_a_diagnosis_is_documented():
+    """Keys of the answer, and of a cause, a region and a decision in it."""
     answer = json.loads((ROOT / "tests/frozen/diagnosis/diagnosis.json").read_text(encoding="utf-8"))
     parts = [answer, answer["causes"][0], answer["regions"][0], answer["estimation"], answer["decisions"][0]]
     parts += [next(iter(answer[table].values())) for table in ("calibration", "residual")]
-    told = set(
+    documented = set(
         re.findall(r"`(\w+)`", (ROOT / "docs/diagnosis.md").read_text(encoding="utf-8").split("## What `diag")[1])
     )
-    assert not {key for part in parts for key in part} - told
+    assert not {key for part in parts for key in part} - documented
+
+
+def test_every_cause_is_documented():
+    from flexspline.models import causes
+
+    table = (ROOT / "docs/diagnosis.md").read_text(encoding="utf-8").split("## The causes")[1]
+    assert not {name for name in causes.names() if f"`{name}`" not in table}
 
 
 def test_the_readme_is_short():
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 110
+
+
+def demo() -> list[list[str]]:
+    """Return the commands of `make demo`."""
+    recipe = (ROOT / "Makefile").read_text(encoding="utf-8").split("\ndemo: ")[1].split("\n\n")[0]
+    return [shlex.split(line)[1:] for line in recipe.splitlines()[1:]]
 
 
 @pytest.mark.slow
-def test_the_first_five_minutes(flexspline, shared, tmp_path, monkeypatch):
-    """The commands of the README, one after the other, and its program."""
-    (tmp_path / "here").mkdir()
-    (tmp_path / "shared").symlink_to(shared)
-    monkeypatch.chdir(tmp_path / "here")
-    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## Five minutes")[1].split("## ")[0]
-    typed = [shlex.split(line, comments=True) for line in text.splitlines() if line.startswith("    flexspline ")]
-    assert len(typed) >= 5
-    for _, *words in typed:
-        if words[0] != "view":
-            code, _, error = flexspline(*words)
-            assert code == 0, (words, error)
-    assert (tmp_path / "here" / "diagnosis" / "report.html").is_file()
+def test_the_readme_runs_in_a_fresh_clone(flexspline, tmp_path, monkeypatch):
+    """The demo, the README's commands one after the other, and its program, with nothing but the clone."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FLEXSPLINE_SHARED", str(tmp_path / "nothing"))
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    typed = [shlex.split(line, comments=True)[1:] for line in text.splitlines() if line.startswith("    flexspline ")]
+    assert len(demo()) == 2 and len(typed) == 5
+    for words in demo() + typed:
+        if words[0] == "view":
+            looked_at(words[1:])
+            continue
+        code, _, error = flexspline(*words)
+        assert code == 0, (words, error)
+    (hidden,) = json.loads(Path("runs/hidden/hidden.json").read_text(encoding="utf-8"))
+    found = json.loads(Path("diagnosis/diagnosis.json").read_text(encoding="utf-8"))
+    assert found["causes"][0]["name"] == hidden["name"]
+    assert found["causes"][0]["confidence"] >= 0.9
     (program,) = snippets(ROOT / "README.md", "python")
     exec(program, {})
 
@@ -182,12 +199,14 @@ STEP = re.compile(
     r"|^<!-- output -->\n```text\n(?P<output>.*?)```",
     re.DOTALL | re.MULTILINE,
 )
-"""What a page to follow step by step has: commands, a file to save (`bench.yaml`), a program, what the last command said."""
+"""Steps of a page: commands, a file to save (`bench.yaml`), a program, output of the last command."""
 
 
 def assert_shown(shown: str, said: str) -> None:
-    """Every line that a page shows is what was said, numbers to two per cent or one of their last decimal, since processors round
-    otherwise; a page may leave out lines and their ends."""
+    """Compare a page's lines with the output, numbers to two per cent or one of their last decimal.
+
+    A page may leave out lines, and their ends.
+    """
 
     def same(a: str, b: str) -> bool:
         last = 1.01 * 10.0 ** -len(a.partition(".")[2]) if "." in a else 0.0
@@ -205,7 +224,7 @@ def assert_shown(shown: str, said: str) -> None:
 
 @pytest.mark.slow
 def test_the_first_hour(flexspline, tmp_path, monkeypatch):
-    """Everything on the page, in its order, in an empty folder; what it shows is what comes."""
+    """Run the page in its order, in an empty folder, and compare the output."""
     monkeypatch.chdir(tmp_path)
     said, steps = "", {"commands": 0, "yaml": 0, "python": 0, "output": 0}
     for step in STEP.finditer((ROOT / "docs" / "first_hour.md").read_text(encoding="utf-8")):
@@ -227,7 +246,7 @@ def test_the_first_hour(flexspline, tmp_path, monkeypatch):
 
 
 SYNOPSIS = re.compile(r"FORMAT FILE…|tcp://")
-"""Lines that are no commands to type: what may stand where, and a cluster of somebody's (`tests/scenarios/studies` has one)."""
+"""Lines that are not run: a synopsis, and a cluster (`tests/scenarios/studies` has one)."""
 SMALLER = {
     "--seeds 10": "--seeds 1",
     "--draws 24": "--draws 1",
@@ -240,14 +259,14 @@ SMALLER = {
     "NEW_MEASUREMENT": "MEASUREMENT",
     "--out …": "--out other",
 }
-"""What takes long, with less of the same; and what a page leaves open."""
+"""Replacements that shorten a page's commands, or fill in what it leaves open."""
 NAMED = re.compile(r"`(\w+\.(?:py|yaml))`[^`\n]*\n\n$")
-"""The end of what stands before a file that is shown: its name is in the line before."""
+"""The name of a file that a page shows: in the line before."""
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory, shared):
-    """A folder with what the pages take for there: runs, measurements, diagnoses, files of somebody's own."""
+    """Make a folder with the runs, measurements, diagnoses and files that pages use."""
     import flexspline as fs
     from flexspline.models.joint import Effect, Estimate
     from flexspline.models.recording import write_recording
@@ -300,7 +319,7 @@ def place(tmp_path_factory, shared):
 
 
 def looked_at(words: list[str]) -> None:
-    """What `view` would open is there, and what runs live begins."""
+    """Check that `view` finds its file, and that a live run starts."""
     from flexspline.commands.view import find_recording
     from flexspline.scenarios.live import LiveRun
 
@@ -312,7 +331,7 @@ def looked_at(words: list[str]) -> None:
 
 
 def file_of(before: str) -> str:
-    """What a snippet after some text is called; empty where it has no name."""
+    """Return the file name of a snippet, or an empty text."""
     found = NAMED.search(before)
     return found.group(1) if found else ""
 
@@ -325,17 +344,17 @@ TYPED = [
 
 
 @pytest.mark.fast_every(4)
-@pytest.mark.parametrize(("words", "code", "told"), [
+@pytest.mark.parametrize(("words", "code", "text"), [
     (("arms", "--help"), 0, "--seed"), (("updates", "--draws", "3"), 2, "has no options, got --draws 3"),
     (("arms", "--page", "x"), 2, "unrecognized arguments: --page x"), (("nothing", "--help"), 2, "unknown benchmark 'nothing'"),
     (("studies", "model_error", "--jobs", "x"), 2, "argument --jobs: invalid int value: 'x'"),
     (("studies", "nothing"), 2, "unknown study 'nothing'"), (("updates", "nothing"), 2, "has no options, got nothing"),
 ])  # fmt: skip
-def test_a_benchmark_takes_its_own_options(words, code, told):
+def test_a_benchmark_has_its_options(words, code, text):
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks", *words], cwd=ROOT, capture_output=True, text=True, timeout=120
     )
-    assert done.returncode == code and told in done.stdout + done.stderr
+    assert done.returncode == code and text in done.stdout + done.stderr
 
 
 LONG = ("diagnosis.md", "accuracy.md", "arms.md", "planning.md", "cluster.md", "estimators.md")
@@ -346,7 +365,7 @@ LONG = ("diagnosis.md", "accuracy.md", "arms.md", "planning.md", "cluster.md", "
     "page", [pytest.param(p, marks=pytest.mark.long if p.name in LONG else ()) for p in TYPED], ids=ids(TYPED)
 )
 def test_every_command_of_a_page_is_run(page, place, flexspline, tmp_path, monkeypatch):
-    """In the order of the page, beside the files that it shows; `README.md` and the first hour have tests of their own."""
+    """In the order of the page, with the files that it shows; README and the first hour have separate tests."""
     shutil.copytree(place, tmp_path / "place", symlinks=True)
     monkeypatch.chdir(tmp_path / "place" / "here")
     if page.name in ("cluster.md", "scenarios.md"):
@@ -382,7 +401,7 @@ def test_every_command_of_a_page_is_run(page, place, flexspline, tmp_path, monke
             assert code == 0, (words, error)
 
 
-def test_public_functions_say_what_they_take_and_give():
+def test_public_functions_document_arguments_and_results():
     import flexspline as fs
 
     for name in fs.__all__:

@@ -1,23 +1,47 @@
-"""What an installation holds: every module and every data file once, and it runs from there."""
+"""Packages: versions agree, and a wheel has every module and data file once and runs."""
 
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("commands", "diagnosis", "estimator", "models", "scenarios", "sim", "views")
 DATA = {".yaml", ".xml", ".j2", ".css"}
 
 
+def test_versions_agree():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    changes = re.findall(r"^## (\S+) – (\S+)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert changes[0] == (citation["version"], str(citation["date-released"]))
+    assert project["version"] == citation["version"]
+    assert project["license"] == citation["license"]
+    assert {a["family-names"] for a in citation["references"][0]["authors"]} == {"Shi", "Liu"}
+
+
+def test_workflows_run_the_steps_of_ci():
+    steps = set(
+        re.findall(r"[a-z-]+", " ".join(re.findall(r"^make(.*)$", (ROOT / ".ci/run").read_text("utf-8"), re.MULTILINE)))
+    )
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+    run = [step.get("run", "") for job in workflow["jobs"].values() for step in job["steps"]]
+    assert {line.removeprefix("make ") for line in run if line.startswith("make ")} == steps - {"--jobs"}
+    matrix = workflow["jobs"]["test"]["strategy"]["matrix"]
+    assert len(matrix["os"]) == 3 and matrix["python"] == ["3.11", "3.12", "3.13", "3.14"]
+
+
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory) -> Path:
-    """A folder into which a wheel was unpacked."""
+    """Return a folder with an unpacked wheel."""
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "pip", "wheel", str(ROOT), "--no-deps", "--wheel-dir", str(folder)]
     if subprocess.run(command, capture_output=True, cwd=folder).returncode != 0:

@@ -318,6 +318,8 @@ class _Extent:
     temperature_span: float
     known_push: bool
     gravity: bool
+    arm: bool
+    weighed: bool
 
     @classmethod
     def of(cls, measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary]) -> _Extent:
@@ -326,7 +328,9 @@ class _Extent:
         ends = [_link_range(s, N) for s in summaries]
         turns = [_rotor_range(s, N) for s in summaries]
         warm = [s.ranges["temperature"] for s in summaries if "temperature" in s.ranges]
-        known = [r for r in recordings if r.external != "unmeasured" and r.load is None]
+        known = [
+            r for r in recordings if r.external != "unmeasured" and (r.load is None or "joint_torque" in r.columns)
+        ]
         return cls(
             joint=joint,
             rate=_rate(measurement),
@@ -344,6 +348,8 @@ class _Extent:
             temperature_span=max(high for _, high in warm) - min(low for low, _ in warm) if warm else 0.0,
             known_push=bool(known),
             gravity=any(r.link.gravity_moment > 0 for r in known),
+            weighed=any(r.load is None or not r.columns.keys().isdisjoint(_DRIVE) for r in recordings),
+            arm=any(r.load is not None for r in recordings),
         )
 
 
@@ -379,7 +385,11 @@ def _lacking(cause: Cause, found: _Extent, nothing: str | None) -> Iterator[str]
     if found.temperature_span < needed.temperature_span:
         yield f"the temperature changes by {found.temperature_span:.2g} K, less than {needed.temperature_span:g} K"
     if needed.known_push and not found.known_push:
-        yield "in every recording unmeasured pushes may happen, or other joints of the arm move"
+        yield "in every recording unmeasured pushes may happen, or other joints of the arm move without a torque sensor"
+    if needed.weighed and not found.weighed:
+        yield "the torque can be compared with the arm's mass model alone, which may be as wrong"
+    if needed.arm and not found.arm:
+        yield "no recording is of an arm whose other joints move"
     if needed.gravity and not found.gravity:
         yield "no recording without unmeasured pushes, the arm's other joints still, has a gravity moment"
 

@@ -38,7 +38,7 @@ BALANCES = ("motor_current", "joint_torque", "link_balance")
 """The torque balances of a joint, by what their residual is told in: current [A], transmission [N·m], link [N·m]."""
 CURRENT, TORQUE, LINK = range(len(BALANCES))
 ENCODERS = ("motor_position", "link_position")
-_WEIGHING = ("link_position", "joint_torque", "external_torque")
+_WEIGHING = ("link_position", "joint_torque", "external_torque", "arm_torque")
 UNITS = {"motor_current": "A", "joint_torque": "N·m", "link_balance": "N·m"}
 
 
@@ -94,7 +94,7 @@ class Segment:
       weighed: whether the link balance is of the link's measured motion: so with both encoders, and with the link's alone where
         a torque sensor tells what moves it.
       torque: joint torque reading [N·m], shape (n,); empty without a sensor.
-      external: known torque on the link [N·m], shape (n,).
+      external: known torque on the link [N·m], shape (n,); arm: the part of it that other links of an arm make.
       temperature: [°C], shape (n,).
       mounting: of the link.
       stiffness: sum of the described joint's K1 to K3 [N·m/rad].
@@ -122,6 +122,7 @@ class Segment:
     weighed: bool
     torque: np.ndarray
     external: np.ndarray
+    arm: np.ndarray
     temperature: np.ndarray
     mounting: Mounting
     stiffness: float
@@ -239,8 +240,8 @@ def _segment(
     cutoff, settle = conditioned.passband, settings.settle_time
     whole = passband(time, cutoff)
     link_measured = "link_position" in recording and "motor_position" in recording
-    # In an arm the load comes of the joint's own motion, and pushes that nobody measured may be anything.
-    alone = "joint_torque" in recording and recording.load is None and recording.external != "unmeasured"
+    # Pushes that nobody measured may be anything.
+    alone = "joint_torque" in recording and recording.external != "unmeasured"
     weighed = "link_position" in recording and (link_measured or alone)
     if "motor_position" in recording:
         s = smooth(time, values, STEP, cutoff)
@@ -279,6 +280,7 @@ def _segment(
     )
     since = s.time - recording.time[0]
     external = np.ascontiguousarray(of("external_torque", s.value)) if "external_torque" in place else zero
+    arm = np.ascontiguousarray(of("arm_torque", s.value)) if "arm_torque" in place else zero
     temperature = np.full(n, p["reference_temperature"])
     if "temperature" in recording:
         temperature = np.interp(s.time, recording.time[part], recording["temperature"][part])
@@ -296,7 +298,7 @@ def _segment(
         link=np.ascontiguousarray(link), rotor_measured="motor_position" in recording, link_measured=link_measured,
         weighed=weighed,
         torque=np.ascontiguousarray(read[:, TORQUE]) if has["joint_torque"] else np.empty(0),
-        external=external, temperature=temperature, mounting=recording.link,
+        external=external, arm=arm, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),
         measured_bend=decimate(read_bend), state=state, load=load, balances=balances, usable=usable, held_out=held_out,
         at_rest=at_rest, passband=1 / (2 * np.pi * whole),
@@ -363,6 +365,9 @@ def _channels(conditioned: Conditioned, part: slice, joint: Joint, p: np.void, r
     if recording.external == "measured" or recording.load is not None:
         kept["external_torque"] = recording.torque_of_arm[part] + columns.get("external_torque", 0.0)
         noise["external_torque"] = np.zeros(len(time))
+    if recording.load is not None:
+        kept["arm_torque"] = recording.torque_of_arm[part]
+        noise["arm_torque"] = np.zeros(len(time))
     return kept, noise
 
 
@@ -421,9 +426,9 @@ def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, sett
     usable = np.empty((len(at), len(BALANCES)), bool)
     usable[:, CURRENT] = begun
     usable[:, TORQUE] = begun
-    usable[:, LINK] = (
-        (settled if has_torque else begun) & (recording.external != "unmeasured") & (recording.load is None)
-    )
+    # Without a torque sensor the torsion would have to be as precise as the masses of an arm.
+    weighed = recording.external != "unmeasured" and (has_torque or recording.load is None)
+    usable[:, LINK] = (settled if has_torque else begun) & weighed
     usable &= balances
     return usable & ~held_out[:, None], usable & held_out[:, None]
 

@@ -80,7 +80,7 @@ class Region:
 
 
 def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[str, list[np.ndarray]]:
-    """Residuals of every region by segment: ends of angle, speed and load, whole recordings.
+    """Residuals of every region by segment: ends of angle, speed, load and time, whole recordings.
 
     Not the directions of motion: either both were seen, and no motion lies beyond them, or one alone.
     """
@@ -103,6 +103,8 @@ def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[
         "the smallest loads": end(load, False),
         "the largest loads": end(load, True),
     }
+    time = [s.at for s in segments]
+    found |= {"the earliest samples": end(time, False), "the latest samples": end(time, True)}
     names = sorted({s.name for s in segments})
     if len(names) > 1:
         for name in names:

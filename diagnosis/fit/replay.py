@@ -79,13 +79,13 @@ _LEAD_TRAVEL = 0.1
 READ_OUT = (
     "Jm", "Kt", "Kt_drive", "bm", "R", "L", "supply_voltage", "current_limit", "bl", "Jl", "Mg", "gravity_angle",
     "cogging_order", "cogging_amplitude", "cogging_phase", "cable_stiffness", "cable_rest", "stop_angle",
-    "stop_stiffness", "flexible_share", "flexible_frequency", "flexible_damping", "current_offset", "torque_gain",
-    "torque_offset", "torque_rate",
+    "stop_stiffness", "link_friction", "link_damping", "arm_scale", "flexible_share", "flexible_frequency",
+    "flexible_damping", "current_offset", "torque_gain", "torque_offset", "torque_rate",
 )  # fmt: skip
 """Numbers that change what the sensors read, but nothing inside a transmission whose both ends move as measured."""
 _LINK_NUMBERS = (
-    "bl", "Jl", "Mg", "gravity_angle", "cable_stiffness", "cable_rest", "stop_angle", "stop_stiffness", "flexible_share",
-    "flexible_frequency", "flexible_damping",
+    "bl", "Jl", "Mg", "gravity_angle", "cable_stiffness", "cable_rest", "stop_angle", "stop_stiffness", "link_friction",
+    "link_damping", "arm_scale", "flexible_share", "flexible_frequency", "flexible_damping",
 )  # fmt: skip
 """Of these, numbers that do change it where the link's motion is simulated."""
 
@@ -115,6 +115,12 @@ def _before(rotor, h):
     if abs(v) * _LEAD * h < _LEAD_TRAVEL:
         return 0.0, 0.0
     return v, (rotor[n, 1] - v) / (n * h)
+
+
+@kernel
+def _known_torque(external, i, p):
+    """Known torque on the link [N·m] at step i, with the arm's part of it as the joint's record scales it."""
+    return external[i, 0] + (p.arm_scale - 1.0) * external[i, 1]
 
 
 @kernel
@@ -202,7 +208,7 @@ def _transmission(
             l1 = dynamics.actual_link_position(reading, rotor[i, 0] + way, vm1, time[i], p)
         elif step == first:
             l1 = dynamics.actual_link_position(link[0, 0] + way / p.N, rotor[0, 0] + way, vm1, time[0], p)
-            l1 = _under_load(m1, l1, vm1, a_before, external[0], time[0], temperature[0], p)
+            l1 = _under_load(m1, l1, vm1, a_before, _known_torque(external, 0, p), time[0], temperature[0], p)
             vl1, al1 = vm1 / p.N, am1 / p.N
         if step == first:
             # Springs in equilibrium, friction unstressed.
@@ -243,7 +249,8 @@ def _transmission(
                 change = h * force / a11
                 w_middle = w + 0.5 * change
             else:
-                push = t.flexspline_torque - p.bl * vl + dynamics.link_torque(middle, t.load, p) + external[i]
+                push = t.flexspline_torque - p.bl * vl + dynamics.link_torque(middle, t.load, p)
+                push += _known_torque(external, i, p)
                 push += laws.flexible_torque(phi, phi_rate, p)
                 spring = 0.25 * h * kf + 0.5 * p.df
                 a22 = rigid + h * (spring + 0.5 * p.bl)
@@ -345,7 +352,7 @@ def _readings(
                 s.motor_position, s.motor_velocity, s.wave_generator_position, s.wave_generator_velocity, position,
                 velocity, s.bristle, s.dahl, current, time[i], temperature[i],
             )  # fmt: skip
-        balance = dynamics.link_torque(state, s.load, p) + external[i]
+        balance = dynamics.link_torque(state, s.load, p) + _known_torque(external, i, p)
         if not weighed:
             phi, phi_rate = s.flexible_position, s.flexible_velocity
         elif p.flexible_share != 0.0:
@@ -458,10 +465,15 @@ def _weights(count: int, n: int) -> np.ndarray:
     return found
 
 
+def _external(segment: Segment) -> np.ndarray:
+    """Known torque on the link [N·m] and the part of it that other links of an arm make, shape (n, 2)."""
+    return np.column_stack([segment.external, segment.arm])
+
+
 def _motion(segment: Segment) -> tuple[Any, ...]:
     """Of a segment what moves inside the transmission depends on."""
     return (
-        segment.time, segment.temperature, segment.rotor, segment.link, segment.link_measured, segment.external,
+        segment.time, segment.temperature, segment.rotor, segment.link, segment.link_measured, _external(segment),
         segment.passband, STEP,
     )  # fmt: skip
 
@@ -470,7 +482,7 @@ def _sensed(segment: Segment, every: int, window: np.ndarray) -> tuple[Any, ...]
     """Of a segment what readings depend on."""
     return (
         segment.time, segment.temperature, segment.link, segment.torque, segment.link_measured, segment.weighed,
-        segment.external, segment.stiffness, segment.passband, STEP, every, window,
+        _external(segment), segment.stiffness, segment.passband, STEP, every, window,
     )  # fmt: skip
 
 
@@ -478,7 +490,7 @@ def _whole(segment: Segment) -> tuple[Any, ...]:
     """Of a segment all that a replay depends on."""
     return (
         segment.time, segment.temperature, segment.rotor, segment.link, segment.torque, segment.link_measured,
-        segment.weighed, segment.external, segment.stiffness, segment.passband, STEP, DECIMATION, WINDOW,
+        segment.weighed, _external(segment), segment.stiffness, segment.passband, STEP, DECIMATION, WINDOW,
     )  # fmt: skip
 
 

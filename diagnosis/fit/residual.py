@@ -73,7 +73,9 @@ class Problem:
         self.calibration = Calibration(joint)
         self.size = self.calibration.size + len(_TIMED) + 1
         self.late = lateness(joint)
-        self.crosstalk = CROSSTALK * max(m.gravity_moment for m in (joint.mount(), *self.mountings))
+        # With one encoder the torque is compared with the load alone, and a crosstalk would be taken for a part of it.
+        both = any(s.link_measured for s in segments)
+        self.crosstalk = CROSSTALK * max(m.gravity_moment for m in (joint.mount(), *self.mountings)) if both else 0.0
         linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
         at = [i for i, name in enumerate(self.calibration.names) if name in linear]
         self.linear = np.array([*at, self.size - 1])

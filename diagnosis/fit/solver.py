@@ -691,10 +691,20 @@ def covariances(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -
     return _as_described(problem, _inverse(normal.hessian)), _as_described(problem, found)
 
 
-def _piece_scores(problem: Problem, f: Fit, normal: Normal, settings: SolverSettings) -> np.ndarray:
-    """Gradient of half the objective without the prior, piece by piece of `cluster` seconds and less, shape (pieces, n).
+def scatter_by_unknown(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -> tuple[np.ndarray, np.ndarray]:
+    """Return the score by pieces of `cluster` seconds, shape (pieces, n), and the information on each unknown, shape (n,)."""
+    normal = normal_equations(problem, f.noise, f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, settings)
+    information = np.diag(normal.hessian) - 1 / problem.spread(f.model) ** 2
+    return _piece_scores(problem, f, normal, settings, settings.cluster), information
 
-    There must be more pieces than unknowns for their scatter to say something.
+
+def _piece_scores(
+    problem: Problem, f: Fit, normal: Normal, settings: SolverSettings, piece: float | None = None
+) -> np.ndarray:
+    """Gradient of half the objective without the prior, piece by piece, shape (pieces, n).
+
+    Args:
+      piece: its length [s]; by default `cluster` or less, so that there are more pieces than unknowns, as a scatter matrix needs.
     """
     rows = whiten(problem.segments, f.noise, f.point.residual, f.jacobian).rows
     score = _scores(rows, settings.huber, normal.weight)
@@ -703,7 +713,7 @@ def _piece_scores(problem: Problem, f: Fit, normal: Normal, settings: SolverSett
         score -= _scores(rows, settings.huber, normal.weight)
     segment, _, at = rows_of(problem.segments)
     seconds = sum(float(s.at[-1] - s.at[0]) for s in problem.segments)
-    piece = min(settings.cluster, seconds / (4 * score.shape[1]))
+    piece = piece or min(settings.cluster, seconds / (4 * score.shape[1]))
     pieces = [int(s.at[-1] / piece) + 1 for s in problem.segments]
     first = np.concatenate([[0], np.cumsum(pieces)])
     total = np.zeros((first[-1], score.shape[1]))

@@ -160,7 +160,7 @@ class Explorer:
         best, models = start or base, list[Judged]()
         for step in range(self.settings.steps):
             self.progress("searching for causes", 0.1 + 0.7 * step / self.settings.steps)
-            library = self._library(best)
+            library = self.library(best)
             if late := time.monotonic() > self.deadline:
                 break
             other = self._grown(best, library)
@@ -214,7 +214,7 @@ class Explorer:
         have = {h.key for h in best.model}
         return self.problem.with_room(best.model, [h for h in self.offered if h.key not in have])
 
-    def _library(self, best: Fit) -> Library:
+    def library(self, best: Fit) -> Library:
         """Columns of every hypothesis that the best model has not, and for which there is room."""
         left = self._room(best)
         far = quiet_rms(self.problem, best) > self.settings.far and not best.model

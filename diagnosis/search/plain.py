@@ -29,6 +29,8 @@ CAUSES = {
     "load_dependent_friction": ("load_dependent_friction", "coefficient"),
     "offset": ("current_offset", "value"),
     "Kt": ("torque_constant", "value"),
+    "arm_scale": ("arm_load", "scale"),
+    "link_friction": ("link_friction", "torque"),
 }
 """Cause and its parameter by what a coefficient of a regression says (`regression.Coefficient.means`)."""
 BEYOND = 3.0
@@ -57,7 +59,10 @@ def plain_fit(problem: Problem, offered: Sequence[Hypothesis], found: Sequence[R
             value = now + (c.number - c.described) * (now / c.described if c.described else 1.0)
             started[name] = h, h.confine(h.coordinates({q.name: value for q in h.cause.parameters}))
     model = tuple(h for h, _ in started.values())
-    return least_squares(problem, model, np.concatenate([problem.start(None, ()), *(u for _, u in started.values())]))
+    start = np.concatenate([problem.start(None, ()), *(u for _, u in started.values())])
+    if not all(np.isfinite(r).all() for r in problem.residuals([start], [model])[0]):
+        model, start = (), problem.start(None, ())  # a load so light that nothing moves like it
+    return least_squares(problem, model, start)
 
 
 def moving(problem: Problem) -> Fitter:

@@ -16,9 +16,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..fit import solver
 from ..fit.noise import EVEN, normalised_rms
 from ..fit.residual import Problem
-from ..fit.solver import Fit, covariances
+from ..fit.solver import Fit
 from .worth import amount_of, magnitudes_at, size_of, worth_of
 
 
@@ -62,11 +63,12 @@ def quiet_rms(problem: Problem, f: Fit) -> float:
 
 
 def dispersion(problem: Problem, f: Fit) -> float:
-    """By how much more the score scatters between pieces of a second than the noise model says (`solver.covariances`), the median
-    over unknowns that the data know; one at least."""
-    independent, scattered = (np.diag(c) for c in covariances(problem, f))
-    known = independent < _KNOWN * problem.spread(f.model) ** 2
-    return max(float(np.median((scattered / independent)[known])), 1.0) if known.any() else 1.0
+    """Return by how much more the score scatters between pieces of a second than the noise model says: the median over the
+    unknowns that the data know, and one at least."""
+    pieces, information = solver.scatter_by_unknown(problem, f)
+    known = information > 1 / (_KNOWN * problem.spread(f.model) ** 2)
+    ratio = np.sum(pieces**2, axis=0)[known] / information[known]
+    return max(float(np.median(ratio)), 1.0) if known.any() else 1.0
 
 
 _KNOWN = 0.1

@@ -71,6 +71,8 @@ class Requirements:
       temperature_span: range of the temperature [K].
       known_push: whether a recording without unmeasured pushes on the link is needed.
       gravity: whether it must have a gravity moment.
+      arm: whether other joints of an arm must move.
+      weighed: whether a current is needed, or a load that is not of an arm's mass model.
     """
 
     sliding: float = 0.0
@@ -84,6 +86,8 @@ class Requirements:
     temperature_span: float = 0.0
     known_push: bool = False
     gravity: bool = False
+    arm: bool = False
+    weighed: bool = False
 
 
 def put_order(p: np.void, field: str, values: dict[str, float]) -> None:

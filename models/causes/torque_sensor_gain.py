@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .base import Cause, CauseParameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class TorqueSensorGain(Cause):
@@ -15,4 +15,5 @@ class TorqueSensorGain(Cause):
     parameters = (CauseParameter("gain", "1", (0.05, 20.0), ((0.80, 0.92), (1.08, 1.20)), neutral=1.0, magnitude=True),)
     sets = {"gain": "torque_gain"}
     needs = ("joint_torque",)
+    requires = Requirements(weighed=True)
     imitated_by = (("gravity_moment", "torque_constant"),)

@@ -89,7 +89,7 @@ def one_line(found: tuple[int, str, str]) -> str:
 
 def test_an_installed_package_is_simply_there(flexspline, installed, tmp_path):
     """Lists say where it comes from; a study hides the cause, a check says whether it could show."""
-    own = {"estimators": {"moving_average", "strain_tared"}, "causes": {"soft_bearing"}, "sensors": {"strain"}}
+    own = {"estimators": {"moving_average", "strain_corrected"}, "causes": {"soft_bearing"}, "sensors": {"strain"}}
     for what, names in own.items():
         code, text, error = flexspline(what, "--json")
         assert code == 0, error
@@ -117,20 +117,20 @@ def test_an_installed_package_is_simply_there(flexspline, installed, tmp_path):
 def test_an_installed_sensor_is_read(flexspline, installed, tmp_path):
     """By a run, whose recording has it with its unit, by its own estimator there and over the recording, and in a sweep."""
     out = tmp_path / "runs"
-    words = ["--set", "duration=2", "--set", "transient=0.5", "--set", "filters=[strain_tared]"]
+    words = ["--set", "duration=2", "--set", "transient=0.5", "--set", "filters=[strain_corrected]"]
     code, _, error = flexspline("run", "link_sweep", *words, "--no-figures", "--no-recording", "--out", out)
     assert code == 0, error
     recording = fs.load_recording(out / "link_sweep" / "link_sweep.yaml")
-    run = fs.simulate("link_sweep", duration=2, transient=0.5, filters=["strain_tared"])
+    run = fs.simulate("link_sweep", duration=2, transient=0.5, filters=["strain_corrected"])
     np.testing.assert_array_equal(recording["strain"], run.simulation.further["strain"])
-    found = fs.estimate(recording, estimators="strain_tared")
-    assert np.isfinite(found["strain_tared"]).all() and len(found) == len(run.time)
+    found = fs.estimate(recording, estimators="strain_corrected")
+    assert np.isfinite(found["strain_corrected"]).all() and len(found) == len(run.time)
 
     study = tmp_path / "mine.yaml"
-    study.write_text(yaml.safe_dump(STUDY | {"axes": [], "filters": ["strain_tared"]}), encoding="utf-8")
+    study.write_text(yaml.safe_dump(STUDY | {"axes": [], "filters": ["strain_corrected"]}), encoding="utf-8")
     code, _, error = flexspline("sweep", study, "--out", tmp_path / "sweep", "--no-figures")
     assert code == 0, error
-    assert set(pd.read_csv(tmp_path / "sweep" / "summary.csv")["filter"]) == {"strain_tared"}
+    assert set(pd.read_csv(tmp_path / "sweep" / "summary.csv")["filter"]) == {"strain_corrected"}
 
 
 @pytest.mark.slow

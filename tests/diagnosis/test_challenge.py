@@ -804,6 +804,23 @@ def test_command_on_two_draws(tmp_path, flexspline):
     assert all(0 <= row["interval"][0] <= row["interval"][1] <= 1 for row in found["rows"] if "interval" in row)
 
 
+def test_a_measurement_with_a_hidden_effect_is_written(flexspline, tmp_path):
+    from flexspline.models.recording import read_measurement
+
+    words = ("challenge", "--hidden", "one", "--seed", 3, "--scenario", "no_load", "--measurement", tmp_path / "hidden")
+    code, out, error = flexspline(*words)
+    assert code == 0 and "hidden" in out, error
+    (hidden,) = json.loads((tmp_path / "hidden" / "hidden.json").read_text(encoding="utf-8"))
+    drawn = draw(Challenge(seed=3, hidden="one", scenarios=("no_load",)), 0)
+    assert hidden["name"] == drawn.effects[0].name and hidden["parameters"] == drawn.effects[0].values
+    read = read_measurement(tmp_path / "hidden")
+    for own, other in zip(read.recordings, drawn.measurement.recordings, strict=True):
+        assert own.joint == "test-joint"
+        for name in other.columns:
+            np.testing.assert_array_equal(own[name], other[name])
+    assert flexspline(*words)[0] == 0  # its own output is replaced
+
+
 def test_causes_where_nothing_is_hidden_are_refused(flexspline):
     code, out, err = flexspline("challenge", "--cause", "backlash", "--hidden", "none")
     assert (code, out) == (2, "") and err.count("\n") == 1 and "--cause" in err and "--hidden none" in err

@@ -31,19 +31,19 @@ def strain(tmp_path) -> Path:
 def test_it_is_read_recorded_and_estimated_with(strain, tmp_path):
     alone = fs.simulate("link_sweep", duration=6, filters=["RAREKF"])
     with plugins.known([strain]):
-        run = fs.simulate("link_sweep", duration=6, filters=["strain_tared", "RAREKF"])
+        run = fs.simulate("link_sweep", duration=6, filters=["strain_corrected", "RAREKF"])
         reading = run.simulation.further["strain"]
         off = reading - run.truth("joint_torque") - run.time / 60.0
         assert np.std(off) == pytest.approx(0.02, rel=0.05)
-        assert run.metrics["filters"]["strain_tared"]["rms"] < 0.1
+        assert run.metrics["filters"]["strain_corrected"]["rms"] < 0.1
         np.testing.assert_array_equal(run.estimate("RAREKF"), alone.estimate("RAREKF"))
         again = load_run(save_run(run, tmp_path / "run"))
         np.testing.assert_array_equal(again.simulation.further["strain"], reading)
         path = write_recording(run.as_recording(), tmp_path)
         recording = read_recording(path)
         np.testing.assert_array_equal(recording["strain"], reading)
-        estimated = fs.estimate(recording, estimators=["strain_tared"])
-        assert np.isfinite(estimated["strain_tared"]).all()
+        estimated = fs.estimate(recording, estimators=["strain_corrected"])
+        assert np.isfinite(estimated["strain_corrected"]).all()
     assert own_sensors.names() == () and own_sensors.channel("strain") is None
     with pytest.raises(InputError, match="'strain': unknown column"):
         read_recording(path)
