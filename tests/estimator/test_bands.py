@@ -61,7 +61,7 @@ def test_noise_is_the_sensors_with_their_counts():
 
 
 def test_a_drives_torque_is_as_little_known_as_its_current():
-    """What the description cannot hold of the current was nothing where the drive told the torque."""
+    """The unexplained part of the current was zero if the drive reported the torque."""
     per_ampere = float(P["Kt_drive"])
 
     def run(s: Signals, _):
@@ -69,9 +69,9 @@ def test_a_drives_torque_is_as_little_known_as_its_current():
 
     read = signals(RAMP)
     columns = {name: read[name] for name in ("motor_position", "link_position")}
-    told = Signals(TIME, columns | {"motor_torque": per_ampere * read["motor_current"]})
+    reported = Signals(TIME, columns | {"motor_torque": per_ampere * read["motor_current"]})
     joint = stating({"motor_current": 0.3})
-    one, other = (found(run, s, joint)["torque"] for s in (read, told))
+    one, other = (found(run, s, joint)["torque"] for s in (read, reported))
     np.testing.assert_allclose(other, one, rtol=1e-9)
 
 
@@ -110,7 +110,7 @@ def test_errors_of_torsion_are_the_larger_balances_and_the_hysteresis(stated, hy
     ("motor_position", "link_position"), ("link_position", "motor_current"), ("link_position",),
 ], ids="+".join)  # fmt: skip
 def test_each_sensor_has_its_own_errors(read):
-    """Whatever is read: a torque that is told of one angle, of both or of the current has errors of the torsion where there is
+    """For any readings: a torque from one angle, of both or of the current has errors of the torsion where there is
     one, of the current where that is read, and none of what is not there."""
     s = signals(RAMP).with_columns(motor_torque=np.full(len(TIME), P["Kt_drive"] * 0.5))
     s = Signals(TIME, {name: s[name] for name in read})

@@ -1,4 +1,4 @@
-"""The compliance model, Eqs. (1)-(7): its own inverse, its knees, and the reference data."""
+"""The compliance model, Eqs. (1)-(7): its own inverse, its breakpoints, and the reference data."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def test_round_trip(calibration, rng):
     np.testing.assert_allclose(got.torque, Tf, rtol=0, atol=3e-12)  # 1e-16 rad of an angle is 1.3e-12 N·m
 
 
-def test_knees_and_oddness(calibration):
-    """Torques at and around the knees, and the same with the sign turned."""
+def test_breakpoints_and_oddness(calibration):
+    """Torques at and around the breakpoints, and the same with the sign turned."""
     T = np.array([0.0, 1.0, T1 - 1e-9, T1, T1 + 1e-9, 8.0, T2 - 1e-9, T2, T2 + 1e-9, 25.0])
     flat = calibration.copy()
     flat["amplitude"] = 0.0

@@ -247,6 +247,6 @@ def test_a_coarser_log_is_told_and_taken_as_it_is():
 
 @pytest.mark.parametrize("column", ["link_position", "motor_position"])
 def test_an_encoder_that_is_held_is_read_at_its_rate(column):
-    """On a bus of 125 Hz: one held for eight samples was a delay of 3.5 ms at 0.99, with a link inertia beside it."""
+    """On a bus of 125 Hz: one held for eight samples was a delay of 3.5 ms at 0.99, together with a link inertia."""
     (one,) = coarser((held(both(), column, 8),), JOINT)
     assert (one.column, one.what) == (column, "rate") and one.found == pytest.approx(125.0, rel=0.03)

@@ -1,4 +1,4 @@
-"""The estimators that know the joint's dynamics: discretisation, quantised update, consistency, and what they are worth."""
+"""The estimators that know the joint's dynamics: discretisation, quantised update, consistency, and accuracy."""
 
 from __future__ import annotations
 
@@ -285,7 +285,7 @@ def test_at_rest_the_torque_is_told_no_better_than_a_count_tells_it():
 @pytest.mark.long
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_half_of_rarekf_everywhere(scenario):
-    """In the mean over starts, paces and pushes: where a count happens to lie at rest is worth a factor of three to either."""
+    """In the mean over starts, paces and pushes: where a count happens to lie at rest changes either by a factor of three."""
     seeds = range(1, 7)
     results = [compare(scenario, seed, ("dynamics_ekf",), vary=True) for seed in seeds]
     ratios = [rms["dynamics_ekf"] / rms["RAREKF"] for rms in results]

@@ -206,10 +206,10 @@ def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
     n = len(signals.time)
     link = signals["link_position"]
     late = signals.with_columns(link_position=np.r_[np.full(samples, link[0]), link[:-samples]])
-    told = known.with_numbers(link_delay=delay)
+    delayed = known.with_numbers(link_delay=delay)
     estimator = registry.get(name)
     memories = []
-    for given, joint in ((signals, known), (late, told)):
+    for given, joint in ((signals, known), (late, delayed)):
         arrays, kept = estimator.step(joint, 1e-3).arrays(), []
         for k in range(n):
             sample = as_samples(given, (), joint)[k : k + 1]
@@ -230,7 +230,7 @@ def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
         state: np.array([behind[k][3][state] - prompt[k][1][state] for k in range(300, n)])
         for state in (MOTOR, LINK, LINK_RATE, EXTERNAL)
     }
-    active = estimator.process.record(told, 1e-3)[0]["active"].astype(int)
+    active = estimator.process.record(delayed, 1e-3)[0]["active"].astype(int)
     for state, most in ((MOTOR, 4e-4), (LINK, 2.5e-5), (LINK_RATE, 6e-3), (EXTERNAL, 0.8)):
         size = np.sqrt(np.mean(apart[state] ** 2))
         i = int(np.flatnonzero(active == state)[0])

@@ -72,7 +72,7 @@ def test_finite_and_causal(name, known, signals):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_current_is_the_sensors_reading(name, known, signals):
-    """The paper's measurement goes by the drive's command where that is known; all others have the reading, to the bit."""
+    """The paper's measurement uses the drive's command if known; all others have the reading, to the bit."""
     estimator = registry.get(name)
     reading = estimator.estimate(signals.without("current_command"), known).mean
     assert np.isfinite(reading).all()
@@ -215,8 +215,8 @@ def test_what_a_diagnosis_found_stands_before_a_tolerance():
         numbers[name] = numbers[name].model_copy(update={"std": 0.013 * numbers[name].value})
     numbers["Kw0"] = numbers["Kw0"].model_copy(update={"value": 0.0, "std": 3.0})
     found = KnownJoint.of(JOINT.model_copy(update={"numbers": numbers}), record=KnownJoint.of(JOINT).record)
-    told = (found.spread.torque_constant, found.spread.stiffness, found.spread.viscous, found.friction)
-    assert told == pytest.approx((0.013,) * 4)
+    expected = (found.spread.torque_constant, found.spread.stiffness, found.spread.viscous, found.friction)
+    assert expected == pytest.approx((0.013,) * 4)
     assert found.spread.wave_generator == 0.0, "of nothing there is no share"
 
 
@@ -234,7 +234,7 @@ def described(**sensors: dict) -> Joint:
 
 
 def test_errors_of_sensors_are_all_that_they_are_said_to_be():
-    """A sine has half its amplitude's square as mean square, a count a twelfth of its own; independent ones add up in power."""
+    """Mean squares: half of a sine's squared amplitude, a twelfth of a count's square; independent ones add up."""
     imperfect = {
         "flicker": 3e-3, "step": 1.2e-2, "ripple": {"order": 6.0, "amplitude": 8e-3},
         "vibration": {"frequency": 90.0, "amplitude": 5e-3},
@@ -350,11 +350,11 @@ def test_a_divergence_is_told_the_same_beside_signals_as_after_them(known, signa
     estimator = Telling(fails_at=fails_at)
     with pytest.raises(FilterDiverged) as whole:
         estimator.estimate(signals, known)
-    told = f"step {fails_at}, t = {signals.time[fails_at]:g} s"
+    expected = f"step {fails_at}, t = {signals.time[fails_at]:g} s"
     before = fails_at - 1
     said = [6.03 * signals["current_command"][before - 1] if before else 0.0, 0.5, 0.1, 2.0, before]
     said = [round(float(x), 6) for x in said] if fails_at else [0.0] * 5
-    assert told in str(whole.value) and str(said) in str(whole.value)
+    assert expected in str(whole.value) and str(said) in str(whole.value)
 
     samples = OnlineSamples(signals.time, signals.columns, known)
     online, message = OnlineEstimate(estimator, samples), ""

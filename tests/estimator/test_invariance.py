@@ -144,7 +144,7 @@ def test_covariances_of_any_model_are_covariances(data, n, m, rule):
 
 @pytest.mark.parametrize("rule", ["ekf", "arekf", "rarekf"])
 def test_states_that_are_known_exactly_stay_so_under_a_fading_factor(rule):
-    """P of rank one and no process noise: what rounding leaves beside it is multiplied by f_α in every step."""
+    """P of rank one and no process noise: its rounding error is multiplied by f_α in every step."""
     F = np.array([[1.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     model = FilterModel(
         F, np.ones((1, 3)), np.zeros((3, 3)), np.full((1, 1), 0.00390625 + 1e-3), np.diag([0.25, 0.0, 0.0])

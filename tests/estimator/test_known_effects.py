@@ -1,8 +1,8 @@
-"""What is known of a joint reaches every estimator: told of an effect, it is as good as on the joint without it.
+"""What is known of a joint reaches every estimator: with a known effect, it is as good as on the joint without it.
 
 Every known cause at the middle of its ordinary size, what a record can say beyond them, and a model discrepancy at every
 place, each in draws of a sweep (start, way, time, noise, and phases or signs of the effect), without and with a smooth push.
-RMS error against the true joint torque over three draws, at most `LIMIT` times what it is without the effect; `augmented`: the
+RMS error against the true joint torque over three draws, at most `LIMIT` times that without the effect; `augmented`: the
 geometric mean of that ratio over thirteen. Where physics does not allow that, `EXCEPTIONS` says why, and what was measured.
 """
 
@@ -21,7 +21,7 @@ CAUSAL = tuple(name for name in registry.names() if registry.get(name).causal)
 CHEAP = tuple(name for name in CAUSAL if not registry.get(name).costly)
 DOUBTFUL = "augmented"
 MORE = (*DRAWS, *range(21, 31))
-"""Of the filter that takes a torque for a push or for an error of its numbers: which of both can hang on rounding, so that one
+"""Of the filter that takes a torque for a push or for an error of its numbers: rounding may decide which, so that one
 draw in three would decide."""
 BLIND = {"payload"}
 """Estimators that a push leads astray by construction: they take it for a payload."""
@@ -204,7 +204,7 @@ def test_told_of_an_effect_with_the_dynamics(case, push):
 @pytest.mark.fast_every(5)
 @pytest.mark.parametrize("name", READ)
 def test_told_of_an_effect_with_the_reading_alone(name):
-    """Where no command is known the reading stands for the current, with what is known of its error taken off."""
+    """Without a known command the reading, less its known error, is used."""
     (case,) = (case for case in CASES if case.name == name)
     check(case, False, CHEAP, command=False)
 
@@ -223,11 +223,11 @@ def test_not_told_of_it(name, estimator, worse):
     """The same effects, kept from the estimator: that they are ordinary does not make them small."""
     (case,) = (case for case in CASES if case.name == name)
     draws = DRAWS[:1]
-    told = errors(registry.get(estimator), case, False, draws)[0]
-    ignorant = errors(registry.get(estimator), case, False, draws, told=NONE)[0]
-    print(name, estimator, told, ignorant)
+    informed = errors(registry.get(estimator), case, False, draws)[0]
+    ignorant = errors(registry.get(estimator), case, False, draws, known_as=NONE)[0]
+    print(name, estimator, informed, ignorant)
     assert ignorant > worse * errors(registry.get(estimator), NONE, False, draws)[0]
-    assert ignorant > told
+    assert ignorant > informed
 
 
 def test_no_exception_is_idle():

@@ -66,7 +66,7 @@ def test_it_is_the_spline_of_least_roughness(irregular, cutoff, rng):
 
 @pytest.mark.parametrize("step", [1e-3, 2e-2])
 def test_a_recording_may_begin_in_motion(step):
-    """Of a motion without jerk the smoother leaves everything as it is, from the first sample to the last."""
+    """Of a motion without jerk the smoother changes nothing, from the first sample to the last."""
     time = step * np.arange(2000)
     s = smooth(time, (0.3 + 2.0 * time + 1.5 * time**2)[:, None], step)
     np.testing.assert_allclose(s.value[:, 0], 0.3 + 2.0 * s.time + 1.5 * s.time**2, rtol=1e-4)

@@ -64,10 +64,10 @@ def test_the_sensor_columns_are_not_read(sweep, joint):
     assert set(blind.torque) == set(names()) and not blind.left_out
     seeing = estimate_recording(part(cut, slice(0, 4000), joint_torque=7 + cut.time), joint)
     columns = {**cut.columns, "external_torque": np.full(4000, 3.0)}
-    told = estimate_recording(replace(cut, columns=columns, external="measured"), joint)
+    informed = estimate_recording(replace(cut, columns=columns, external="measured"), joint)
     for name in names():
         np.testing.assert_array_equal(blind.torque[name], seeing.torque[name])
-        np.testing.assert_array_equal(blind.external_torque[name], told.external_torque[name])
+        np.testing.assert_array_equal(blind.external_torque[name], informed.external_torque[name])
 
 
 def test_an_exact_joint_is_estimated_to_the_sensors_noise(sweep, joint, tmp_path):
@@ -107,7 +107,7 @@ def test_a_drift_counts_from_the_recordings_start(free, joint):
     warm = joint.model_copy(update={"effects": [effect]})
     whole = estimate_recording(free, warm, ["current_smoothed", "current"])
     cut = part(free, free.time > 10.0)
-    cut = replace(cut, time=np.r_[0.0, cut.time[1:]])  # the sample before the gap is a segment of its own, too short
+    cut = replace(cut, time=np.r_[0.0, cut.time[1:]])  # the sample before the gap is a separate segment, too short
     after = estimate_recording(cut, warm, ["current_smoothed", "current"])
     middle = slice(3000, 8000)
     n = len(cut.time)
@@ -293,10 +293,10 @@ def test_known_effects_of_the_link_encoder(free, joint):
             parameters={"amplitude": Estimate(value=5e-4), "phase": Estimate(value=0.4)},
         ),
     ]
-    told = joint.model_copy(update={"effects": effects})
+    informed = joint.model_copy(update={"effects": effects})
     chosen = ("model", "EKF", "kalman", "momentum_torsion", "dynamics_ekf")
     before = score(free, estimate_recording(free, joint, chosen), joint)["joint_torque"]
-    after = score(spoiled, estimate_recording(spoiled, told, chosen), told)["joint_torque"]
+    after = score(spoiled, estimate_recording(spoiled, informed, chosen), informed)["joint_torque"]
     blind = score(spoiled, estimate_recording(spoiled, joint, chosen), joint)["joint_torque"]
     for name in chosen:
         print(name, before[name].rms, after[name].rms, blind[name].rms)
@@ -401,7 +401,7 @@ def test_a_band_holds_what_two_sensors_do_not_agree_on(free, joint):
 @pytest.mark.parametrize("column", ["link_position", "motor_position"])
 @pytest.mark.parametrize("first", [0, 3])
 def test_of_an_encoder_that_is_held_the_torsion_is_held(column, first):
-    """On a bus of 125 Hz beside a log of 1 kHz: an angle 8 ms old was a torsion of newton metres, and RAREKF 2.4 N·m off."""
+    """On a bus of 125 Hz in a log of 1 kHz: an angle 8 ms old was a torsion of newton metres, and RAREKF 2.4 N·m off."""
     drawn = draw(Challenge(seed=11, hidden="none", exact=True, scenarios=("link_sweep",)), 0)
     (r,) = drawn.measurement.recordings
     r = r.at(slice(0, 12000))

@@ -48,7 +48,7 @@ def test_an_update_is_kalmans(rng, p, velocity, own):
     P, at = A @ A.T, np.array([2.0, -1.0, 0.3, 0.5])
     x = np.append(at + 0.1 * rng.standard_normal(4), 0.2)
     w = p["N"] * velocity
-    # Sliding friction without load, its bristle where it stands still at that velocity; viscous friction.
+    # Sliding friction without load, its bristle steady at that velocity; viscous friction.
     g = p["Fc"] + (p["Fs"] - p["Fc"]) * np.exp(-((w / p["vs"]) ** 2))
     z = g / p["s0"] * np.tanh(w)
     friction = p["s0"] * z + p["s1"] * (w - p["s0"] * abs(w) / g * z) + p["bw"] * w

@@ -89,8 +89,8 @@ def test_a_late_encoder_is_read_where_its_readings_are_of(delay):
     time = 2.0 + TIME[:1000]
     link, motor = np.sin(3.0 * time), 100.0 * np.cos(2.0 * time)
     late = Signals(time, {"link_position": np.sin(3.0 * (time - delay)), "motor_position": motor})
-    found, told = smoothed.in_time(late, joint)
-    assert told.p["link_delay"] == 0.0 and np.array_equal(found["motor_position"], motor)
+    found, in_phase = smoothed.in_time(late, joint)
+    assert in_phase.p["link_delay"] == 0.0 and np.array_equal(found["motor_position"], motor)
     last = time[-1] - delay
     come = time <= last
     np.testing.assert_allclose(found["link_position"][come], link[come], atol=2e-6)  # between samples along a chord

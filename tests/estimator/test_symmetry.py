@@ -37,7 +37,7 @@ BEYOND = (
     ("rotor", "load", 20.0, 4e-3), ("motor_current", "load", 20.0, 0.04), ("link", "load", 20.0, 0.3),
     ("mesh", "load", 20.0, 4e-3),
 )  # fmt: skip
-"""Model discrepancies of the rich joint by the load, of no symmetry of their own: place, range [N·m], size."""
+"""Model discrepancies of the rich joint by the load, without symmetry: place, range [N·m], size."""
 SPREAD = {
     "stiffness": 0.07,
     "wave_generator": 0.1,

@@ -1,4 +1,4 @@
-"""An estimate that runs away is marked, with the reason, wherever it is given; one that works is not."""
+"""A diverging estimate is marked with the reason everywhere; a good one is not."""
 
 import numpy as np
 import pytest

@@ -128,7 +128,7 @@ def test_no_scale_of_the_link_becomes_negative_however_wide_its_deviation():
 
 
 def test_an_order_of_unknown_phase_stands_there_in_two_quadratures():
-    """Each has a variable of its own: together they are any amplitude at any phase."""
+    """Each has its own variable: together they are any amplitude at any phase."""
     calibration = Calibration(load_joint("ur3e-shoulder"))
     pairs = [name for name in calibration.names if name.startswith("A")]
     assert pairs == ["A1.9901", "A1.9901′", "A1.9802", "A1.9802′"]
@@ -141,7 +141,7 @@ def test_an_order_of_unknown_phase_stands_there_in_two_quadratures():
 
 @pytest.mark.parametrize("phase", [0.3, 3.0, 3.5, 4.0, -4.0])
 def test_tolerances_express_a_larger_amplitude_whatever_turn_its_phase_is_told_in(phase):
-    """A cause tells its phase within half a turn: where the description did not, a change within tolerance was a cause."""
+    """A cause has its phase within half a turn: where the description did not, a change within tolerance was a cause."""
     path = known_joints()["test-joint"]
     data = load_joint("test-joint").model_dump()
     data["kinematic_error"][0]["phase"]["value"] = phase

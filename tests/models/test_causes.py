@@ -228,7 +228,7 @@ def test_more_orders_than_a_joint_may_have_are_one_line(name):
 
 
 def test_payload_is_a_mass_on_the_link(rng):
-    """Weight and inertia of a mass at a distance: m g d at its own angle beside the link's, m d² more."""
+    """Weight and inertia of a mass at a distance: m g d at its own angle against the link's, m d² more."""
     for gravity_angle in (0.0, 3.1, -0.7):
         record = JOINT.record()
         record[0]["gravity_angle"] = gravity_angle
@@ -243,7 +243,7 @@ def test_payload_is_a_mass_on_the_link(rng):
 
 
 def test_a_payload_turns_with_the_link_where_gravitys_direction_differs():
-    """Whichever is found first: the payload hangs where the link's own weight does."""
+    """Whichever is found first: the payload is at the link's own weight."""
     steps = [("payload", {"mass": 0.5, "distance": 0.3, "angle": 0.4}), ("gravity_direction", {"angle": 0.2})]
     found = []
     for order in (steps, steps[::-1]):

@@ -57,7 +57,7 @@ def test_friction_is_the_stribeck_curve_at_the_output(found):
 
 
 def test_resonances_are_those_of_two_masses(found):
-    """Link on both springs in series, rotor held; the wave generator's own inertia is small beside the link's."""
+    """Link on both springs in series, rotor held; the wave generator's own inertia is small against the link's."""
     n = {symbol: number.value for symbol, number in JOINT.numbers.items()}
     for name in ("link",):
         stiffness = 1 / (1 / n["K1"] + 1 / (n["N"] ** 2 * n["Kw0"]))

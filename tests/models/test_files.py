@@ -198,7 +198,7 @@ def test_errors_name_the_line(tmp_path, text, line, said):
     """Wherever it is: comments and empty lines above do not move it."""
     above = int(np.random.default_rng(len(text)).integers(0, 5))
     path = tmp_path / "a.yaml"
-    path.write_text("# what it is\n" * above + text, encoding="utf-8")
+    path.write_text("# a comment\n" * above + text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
         load(path, _Listed, "a file")
     assert str(caught.value).startswith(f"{path}{f':{above + line}' if line else ''}: {said}")

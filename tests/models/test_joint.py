@@ -170,7 +170,7 @@ def numbers_of(data: object, field: str = "") -> Iterator[tuple[str, dict]]:
 
 
 def test_an_unknown_shared_tolerance_is_told_of_every_number():
-    """Of all that calibration moves, wherever it stands; of two at once `check` tells both."""
+    """Of all that calibration moves, at any place; `check` names two at once."""
     data = load_joint("test-joint").model_dump(mode="json")
     data["gravity_angle"] = {"value": 0.0, "unit": "rad", "deviation": 0.01, "source": "mounting"}
     fields = [field for field, _ in numbers_of(data)]
@@ -180,8 +180,8 @@ def test_an_unknown_shared_tolerance_is_told_of_every_number():
         dict(numbers_of(changed))[field]["shared"] = "nope"
         with pytest.raises(InputError) as caught:
             as_joint(changed, Path("a.yaml"))
-        told = f"a.yaml: {field}.shared: expected one of ['friction', 'stiffness'], got 'nope'"
-        assert str(caught.value) == told
+        message = f"a.yaml: {field}.shared: expected one of ['friction', 'stiffness'], got 'nope'"
+        assert str(caught.value) == message
 
 
 def test_a_sensor_may_read_the_other_way_round(tmp_path):
@@ -466,7 +466,7 @@ def test_every_number_has_a_unit_and_a_source():
 
 
 def test_numbers_are_those_of_the_specification(shared):
-    """Every number in joint.md's table stands in the YAML."""
+    """Every number in joint.md's table is in the YAML."""
     text = (shared / "spec" / "joint.md").read_text(encoding="utf-8")
     numbers = {symbol: number.value for symbol, number in load_joint("test-joint").numbers.items()}
     rows = [[cell.strip() for cell in line.strip("| \n").split("|")] for line in text.splitlines() if line[:2] == "| "]

@@ -51,7 +51,7 @@ print(sum(user.plus_one.stats.cache_misses.values()), sum(other.half.stats.cache
 
 @pytest.fixture
 def house(tmp_path):
-    """A package of three modules beside a copy of `kernels.py`; returns a function that runs `MAIN` in a new process."""
+    """A package of three modules with a copy of `kernels.py`; returns a function that runs `MAIN` in a new process."""
     package = tmp_path / "house"
     package.mkdir()
     shutil.copy(ROOT / "models" / "kernels.py", package / "kernels.py")

@@ -1,4 +1,4 @@
-"""Folders that commands write to: what is not theirs stays, what they write is there as a whole or not at all."""
+"""Folders that commands write to: other files stay, and output is complete or absent."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ STEPS = ("rename", "replace", "unlink", "rmdir", "rmtree", "mkdir")
 
 
 def killed_at(step, out):
-    """Write a folder anew and die just before the step-th change of the file system; whether it came so far."""
+    """Rewrite a folder and die just before the step-th change of the file system; whether it came so far."""
     program = f"""
 import os, shutil, sys
 from pathlib import Path

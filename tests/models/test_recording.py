@@ -113,8 +113,8 @@ def test_a_measurement_is_a_folder_of_tables_with_yaml(tmp_path):
     assert m.passed_over == {tmp_path / "notes.csv": "notes.yaml is missing"}
 
 
-def test_of_two_tables_of_a_name_one_is_read_and_the_other_is_told(tmp_path):
-    """Also where the YAML file that both share is what was named; a table that was named itself is the one that is meant."""
+def test_of_two_tables_of_a_name_one_is_read_and_the_other_is_named(tmp_path):
+    """Also for the path of their YAML file; the path of a table selects that table."""
     write_recording(recording("a"), tmp_path)
     write_csv(tmp_path, HEADER + "0,1,2,3\n0.001,1,2,3\n")
     other = {tmp_path / "a.csv": "a.parquet was read"}

@@ -74,7 +74,7 @@ def motions(model, data, control, steps, which=()):
     ids=["plain", "effects"],
 )  # fmt: skip
 def test_one_joint_of_a_locked_arm_is_the_plant(moving, effects, monkeypatch):
-    """The same gear on a six-axis arm whose other hinges are held, and as a plant of its own with that inertia."""
+    """The same gear on a six-axis arm whose other hinges are held, and as a separate plant with that inertia."""
     text = arm(moving=moving).replace("<option ", '<option gravity="0 0 0" ')
     record = record_of("link", **effects)
     monkeypatch.setattr(type(JOINT), "record", lambda self, mounting=None: record.copy())
@@ -129,7 +129,7 @@ def test_energy_of_a_six_axis_arm_is_kept():
 
 
 def test_somebodys_model():
-    """Keyframes, numerics, a limited tendon, contacts, an actuator with an inherited range: all as before, gears beside."""
+    """Keyframes, numerics, a limited tendon, contacts, an actuator with an inherited range: all as before, with gears."""
     plain = mujoco.MjModel.from_xml_string(SOMEBODYS)
     model, data = attached(SOMEBODYS, "shoulder", "elbow")
     np.testing.assert_array_equal(model.numeric("mine").data, [1, 2, 3])

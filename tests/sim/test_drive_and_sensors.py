@@ -197,7 +197,7 @@ def test_an_analog_sensor_has_steps_too():
     assert record["step"] == 0.1 and record["period"] == pytest.approx(0.002)
 
 
-# --- what real sensors do beside noise ---------------------------------------------------------------------------
+# --- imperfections of real sensors ---------------------------------------------------------------------------
 
 
 def test_ripple_crosstalk_and_error_within_counts(rng):

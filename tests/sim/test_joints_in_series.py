@@ -248,7 +248,7 @@ _FLEXIBLE = {"flexible_share": 0.2, "flexible_damping": 0.05}
 _HYSTERESIS = {"hysteresis_torque": 1.0, "hysteresis_extent": 8e-5}
 EFFECTS: dict[str, tuple[dict, dict]] = {
     "none": ({}, {}),
-    "states of its own": (_FLEXIBLE, _HYSTERESIS | {"friction_load": 0.2}),
+    "own states": (_FLEXIBLE, _HYSTERESIS | {"friction_load": 0.2}),
     "states of the other": (_HYSTERESIS | {"friction_asymmetry": 0.3}, _FLEXIBLE),
 }
 

@@ -155,7 +155,7 @@ def _mesh_friction(s):
 
 
 def recording_step(kept):
-    """A step that keeps what it was given and answers with a torque of its own making."""
+    """A step that keeps what it was given and answers with its own torque."""
 
     def step(m, s, p, c, o):
         kept.append(s.item())
@@ -175,8 +175,8 @@ def test_an_estimator_is_given_in_the_loop_what_it_reads_afterwards(reads_comman
     given = np.array(kept, SAMPLE)
     np.testing.assert_array_equal(given["time"], s.time)
     np.testing.assert_array_equal(given["interval"], np.diff(s.time, prepend=0.0))
-    told = np.r_[0.0, s.command[:-1]] if reads_command else np.full(len(s.time), np.nan)
-    np.testing.assert_array_equal(given["current_command"], told)
+    known = np.r_[0.0, s.command[:-1]] if reads_command else np.full(len(s.time), np.nan)
+    np.testing.assert_array_equal(given["current_command"], known)
     later = {"joint_torque", *WRENCH}  # known only once the plant has stepped
     for name in SENSED:
         if name in later:

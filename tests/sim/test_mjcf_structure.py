@@ -1,4 +1,4 @@
-"""An MJCF says how a joint looks. What acts is its description's, whatever the MJCF says."""
+"""An MJCF says how a joint looks. Only its description has dynamics."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ ACTS = {
     "floating": ('<body name="link" pos="0 0 0">', '<body name="link" pos="0 0 0" gravcomp="1">'),
     "body turned": ('<body name="flange">', '<body name="flange" euler="0 0.4 0">'),
     "body turned about another axis": ('<body name="flange">', '<body name="flange" euler="1.2 0 0">'),
-    "a weight beside the link": (
+    "a second weight": (
         '<site name="tip"',
         '<body name="weight" pos="0.1 0 -0.3"><inertial pos="0 0 0" mass="0.5" diaginertia="1e-4 1e-4 '
         '1e-4"/></body><site name="tip"',
@@ -85,7 +85,7 @@ ACTS = {
     "motor's delay": (MOTOR, MOTOR + ' nsample="5" delay="0.005"'),
     "motor's range": (MOTOR, MOTOR + ' ctrlrange="-0.01 0.01"'),
     "equality": (END, '<equality><joint joint1="link"/></equality></mujoco>'),
-    "numbers of its own": (END, '<custom><numeric name="n" data="1"/></custom></mujoco>'),
+    "own numbers": (END, '<custom><numeric name="n" data="1"/></custom></mujoco>'),
     "sensor cut off": ('<torque name="torque"', '<torque name="torque" cutoff="1"'),
     "sensor turned": ('<site name="force_torque" pos="0 0 0"', '<site name="force_torque" euler="1 0 0" pos="0 0 0"'),
     "no sensor": ('<torque name="torque"', '<torque name="twist"'),

@@ -1,4 +1,4 @@
-"""Sensors, clock and drive as they are: a force at a point of the link in the wrench, crosstalk, a drive that lags, jitter."""
+"""Realistic sensors, clock and drive: a force at a point of the link in the wrench, crosstalk, a drive that lags, jitter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from flexspline.sim.sensors import noise, realistic, sensor_records, time_stamps
 
 
 def run(joint=JOINT, controller=None, **more):
-    """The loop of `looping.run`, with whatever is asked for."""
+    """The loop of `looping.run`, with options."""
     mounted = joint.mount("link")
     record = joint.record(mounted)
     position, velocity, external = motion(seconds=1.0)
