@@ -138,12 +138,10 @@ def _smoothed_square(x: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 def _samples(time: np.ndarray) -> int:
-    """Number of samples over which responses are averaged."""
     return max(round(_AVERAGE * _rate(time)), 1)
 
 
 def _rate(time: np.ndarray) -> float:
-    """Samples per second [Hz]."""
     return 1.0 / float(np.median(np.diff(time)))
 
 

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..models import causes
+from ..models.chunks import BLOCK, parts
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting, Sensors
 from ..models.kernels import kernel
@@ -25,7 +26,6 @@ from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals
 from ..models.step import OK, SAMPLE, CompiledStep, PythonStep, Step
-from ..models.streams import BLOCK
 from .errors import FilterDiverged
 from .sensing import LOWPASS, read_joint_torque
 from .trust import Watch
@@ -483,8 +483,7 @@ def sample_blocks(
         return
     for name in needs:
         signals[name]
-    for begin in range(0, n, block):
-        part = slice(begin, min(begin + block, n))
+    for part in parts(n, block):
         yield part, part_samples(signals, joint, part, reads_command)
 
 

@@ -179,8 +179,6 @@ class _Unit:
 
 
 class _Function:
-    """One function as it is printed."""
-
     def __init__(self, unit: _Unit, name: str, python: Callable[..., Any], arguments: tuple[Any, ...]):
         self.unit, self.name, self.arguments = unit, name, arguments
         self.code = run_frontend(python)
@@ -282,7 +280,6 @@ class _Function:
         return f"{self.variable(name)} = {text};"
 
     def _nothing(self, kind: Any) -> bool:
-        """Whether a type has no value in C."""
         return isinstance(kind, _VALUELESS)
 
     def _expression(self, target: ir.Var, e: ir.Expr) -> str | None:

@@ -201,7 +201,6 @@ def passband(time: np.ndarray, cutoff: float = CUTOFF, share: float = SHARE) -> 
 
 
 def _interval(time: np.ndarray) -> float:
-    """Return the median time between samples [s]."""
     return float(np.median(np.diff(time), overwrite_input=True))
 
 

@@ -31,14 +31,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..models import dynamics, laws, streams
+from ..models import dynamics, laws
+from ..models.chunks import StoredColumns, parts
 from ..models.errors import InputError
 from ..models.files import write_into_place
 from ..models.joint import Joint
 from ..models.kernels import kernel
 from ..models.recording import Recording
 from ..models.signals import Signals
-from ..models.spool import Spool
 from ..models.tables import ROWS, TableWriter
 from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
@@ -125,7 +125,7 @@ class Estimates:
       name: of the recording.
       time: as in its table, shape (n,) [s].
       torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments
-        of fewer than `SHORTEST` samples. It may be in files (`models.spool`).
+        of fewer than `SHORTEST` samples. It may be in files (`models.chunks`).
       external_torque: external torque on the link by estimator, without that of an arm's motion, likewise.
       left_out: reason by estimator without an estimate: a missing channel, a divergence.
       notes: findings, one entry a segment (`Prepared.note`).
@@ -180,7 +180,7 @@ def estimate_recording(
     joint: Joint,
     names: Sequence[str] | None = None,
     bands: bool = False,
-    spool: Path | None = None,
+    folder: Path | None = None,
     record: np.ndarray | None = None,
     conditioned: Conditioned | None = None,
 ) -> Estimates:
@@ -192,7 +192,7 @@ def estimate_recording(
       names: of the registry; all by default.
       bands: whether to compute error bands (`bands`). Costly estimators (`Estimator.costly`) get them only by name:
         they take ten times the work.
-      spool: a folder for files with the estimates; by default they are in memory.
+      folder: for files with the estimates; by default they are in memory.
       record: parameter record for the estimators instead of the joint's, shape (1,).
 
     Raises:
@@ -207,7 +207,8 @@ def estimate_recording(
         blind = blind.with_columns(arm_torque=arm_torque)
     n = len(recording.time)
     found, deviation = (
-        {what: Spool(n, spool, f"{recording.name}_{kind}{what}") for what in _QUANTITIES} for kind in ("", "deviation_")
+        {what: StoredColumns(n, folder, f"{recording.name}_{kind}{what}") for what in _QUANTITIES}
+        for kind in ("", "deviation_")
     )
     left_out: dict[str, str] = {}
     untrusted: dict[str, str] = {}
@@ -440,7 +441,7 @@ def write_estimates(estimates: Estimates, folder: Path) -> Path:
     path = folder / f"{estimates.name}.parquet"
     units = {name: "s" if name == "time" else "N·m" for name in estimates.part(slice(0, 0))}
     with write_into_place(path) as temporary, TableWriter(temporary, units) as table:
-        for part in streams.parts(len(estimates.time), ROWS, 1):
+        for part in parts(len(estimates.time), ROWS):
             table.write(estimates.part(part))
     return path
 
@@ -530,7 +531,6 @@ def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: 
 
 
 def _shifted(signals: Signals, zero: np.ndarray) -> Signals:
-    """Return the signals with another zero of the link encoder, shape (n,) [rad]."""
     return (
         signals.with_columns(link_position=signals["link_position"] - zero) if "link_position" in signals else signals
     )

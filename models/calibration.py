@@ -106,7 +106,6 @@ class Calibration:
         return x
 
     def _as_arrays(self) -> _Laws:
-        """Return how every slot's number follows from the variables."""
         joint, none = self.joint, len(self.names)  # the index of a variable that is always zero
         numbers = [s.number for s in self.slots]
         return _Laws(

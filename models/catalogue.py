@@ -150,7 +150,6 @@ def gear(series: str, size: float, ratio: float) -> Gear:
 
 
 def _at_ratio(row: Sequence[float], ratio: float) -> float:
-    """Interpolate a row by ratio, constant outside."""
     return float(np.interp(ratio, RATIOS[: len(row)], row))
 
 

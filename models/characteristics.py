@@ -184,7 +184,6 @@ def _branch(
 
 
 def _half_width(torsion: np.ndarray, torque: np.ndarray) -> float:
-    """Return half the distance between the torsions at zero torque on the ways down and up [rad]."""
     half = len(torque) // 2
     return float(abs(np.interp(0.0, torque[:half][::-1], torsion[:half][::-1])))
 

@@ -237,7 +237,6 @@ _SHEET = {"N": 0.0, "R": 0.0, "L": 0.0, "supply_voltage": 0.0, "current_limit": 
 
 
 def _given(symbol: str, sheet: Datasheet, catalogued: Gear) -> tuple[float, str]:
-    """Return tolerance and source of a given number."""
     what = catalogued.name if symbol not in _OF_MOTOR else sheet.motor or "motor"
     source = sheet.sources.get(symbol, f"datasheet of {what}")
     return sheet.tolerances.get(symbol, _SHEET.get(symbol, 0.1)), source
@@ -427,7 +426,6 @@ def _description(sheet: Datasheet, catalogued: Gear) -> str:
 
 
 def _filled(data: Mapping[str, Any], sheet: Datasheet) -> list[Filled]:
-    """Return the numbers filled by rules, in a description's order."""
     found = []
     rows = dict(data["numbers"])
     for order in data["kinematic_error"]:

@@ -70,13 +70,7 @@ refused. `joint_check` has the usual ranges."""
 
 
 class Number(Strict):
-    """A number of the joint.
-
-    `tolerance` is the relative, `deviation` the absolute standard deviation that datasheet and calibration leave
-    open. A tolerance above 0.5 is log-normal: one standard deviation is a factor of 1 + tolerance. `shared` names a
-    further deviation that several numbers have in common (`Joint.shared_tolerances`). `std` is the standard deviation
-    that a diagnosis found, `nominal` the value before it.
-    """
+    """A number of the joint."""
 
     value: float
     """In its unit."""
@@ -89,7 +83,7 @@ class Number(Strict):
     deviation: Annotated[float, Field(ge=0)] = 0.0
     """Absolute standard deviation that is left open, in the unit."""
     shared: str | None = None
-    """Name of a further deviation that several numbers have in common."""
+    """Name of a further deviation that several numbers have in common (`shared_tolerances`)."""
     std: Annotated[float, Field(ge=0)] | None = None
     """Standard deviation that a diagnosis found, in the unit."""
     nominal: float | None = None
@@ -97,7 +91,7 @@ class Number(Strict):
 
 
 class Order(Strict):
-    """One order of the kinematic error: amplitude [rad, output side], phase [rad], both with tolerances."""
+    """One order of the kinematic error."""
 
     order: Annotated[float, Field(gt=0)]
     """Periods per turn of the wave generator."""
@@ -138,10 +132,7 @@ class Mounting(Strict):
 
 
 class EncoderSpec(Strict):
-    """An encoder: `counts` per revolution or `bits`, noise [rad rms], delay [s], zero, sample rate [Hz].
-
-    `cyclic_error`: amplitude [counts] of the error that repeats with every line of the disc (four counts).
-    """
+    """An encoder."""
 
     counts: Annotated[int, Field(gt=1, le=2**40)] | None = None
     """Per revolution; alternative to `bits`."""
@@ -156,7 +147,7 @@ class EncoderSpec(Strict):
     zero: Number | None = None
     """Reading [rad] at angle zero."""
     cyclic_error: Annotated[float, Field(ge=0, lt=2)] = 0.0
-    """Amplitude [counts] of the error that repeats with every line of the disc."""
+    """Amplitude [counts] of the error that repeats with every line of the disc (four counts)."""
 
     @model_validator(mode="after")
     def _one_resolution(self) -> EncoderSpec:
@@ -172,7 +163,7 @@ class EncoderSpec(Strict):
 
 
 class Ripple(Strict):
-    """An error that repeats with the motor's angle: amplitude · sin(order · θm + phase), in the sensor's unit."""
+    """An error that repeats with the motor's angle: amplitude · sin(order · θm + phase)."""
 
     order: Annotated[float, Field(gt=0)]
     """Periods per turn of the motor."""
@@ -183,7 +174,7 @@ class Ripple(Strict):
 
 
 class Vibration(Strict):
-    """A vibration of the structure that the sensor measures: amplitude (rms, in its unit), frequency [Hz]."""
+    """A vibration of the structure that the sensor measures."""
 
     frequency: Annotated[float, Field(gt=0, lt=500)]
     """[Hz]."""
@@ -192,12 +183,7 @@ class Vibration(Strict):
 
 
 class AnalogSpec(Strict):
-    """An analog sensor: noise (rms), quantisation step, delay [s], sample rate [Hz], gain, offset, and imperfections.
-
-    `bandwidth` of a first-order low-pass [Hz], `flicker` (rms of 1/f noise), `ripple` over the motor's angle,
-    `vibration`, `crosstalk` (amplitude over the cosine of the link's angle); all in the sensor's unit, none by
-    default.
-    """
+    """An analog sensor and its imperfections, none by default."""
 
     noise: Annotated[float, Field(ge=0)] = 0.0
     """Rms, in the sensor's unit."""
@@ -224,11 +210,7 @@ class AnalogSpec(Strict):
 
 
 class WrenchSpec(Strict):
-    """The six-axis force/torque sensor: noise per axis [N rms], [N·m rms], delay [s], sample rate [Hz].
-
-    `crosstalk`: share of an axis' load, relative to its rated load [N], [N·m], that may appear in each other axis
-    [1].
-    """
+    """The six-axis force/torque sensor."""
 
     force_noise: Annotated[float, Field(ge=0)] = 0.0
     """Of each axis [N rms]."""
@@ -239,7 +221,7 @@ class WrenchSpec(Strict):
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
     """Sample rate [Hz]."""
     crosstalk: Annotated[float, Field(ge=0, lt=0.2)] = 0.0
-    """Share of an axis' load, relative to its rated load, that may appear in each other axis."""
+    """Largest share of an axis' load, relative to its rated load, in each other axis [1]."""
     rated_force: Annotated[float, Field(gt=0)] = 300.0
     """[N]."""
     rated_torque: Annotated[float, Field(gt=0)] = 30.0
@@ -282,8 +264,7 @@ class Sensors(Strict):
 
 
 class Estimate(Strict):
-    """A parameter of an effect: value, unit (by default that of the cause), standard deviation if a diagnosis found
-    one."""
+    """A parameter of an effect."""
 
     value: float
     """In its unit."""
@@ -333,8 +314,7 @@ class Effect(Strict):
 
 
 class Discrepancy(Strict):
-    """A nonparametric model discrepancy at `place`: a cubic B-spline of `variable`, with coefficients on a uniform
-    grid."""
+    """A nonparametric model discrepancy: a cubic B-spline on a uniform grid."""
 
     place: Literal[PLACES[1:]]  # type: ignore[valid-type]
     """Where it acts, or the reading to which it is added."""
@@ -357,17 +337,14 @@ class Discrepancy(Strict):
 
 
 class ValidRange(Strict):
-    """The range of the data behind a diagnosed joint: smallest and largest value of each quantity.
-
-    `loads`: the combinations of motion and load in the data, `driving` (the motor moves the load), `driven` (the load
-    moves the motor).
-    """
+    """The range of the data behind a diagnosed joint: smallest and largest value of each quantity."""
 
     link_position: Annotated[list[float], Field(min_length=2, max_length=2, description="rad")]
     link_velocity: Annotated[list[float], Field(min_length=2, max_length=2, description="rad/s")]
     joint_torque: Annotated[list[float], Field(min_length=2, max_length=2, description="N·m")]
     loads: list[Literal["driving", "driven"]] = []
-    """Combinations of motion and load in the data."""
+    """Combinations of motion and load in the data: `driving` (the motor moves the load), `driven` (the load moves the
+    motor)."""
 
     @field_validator("link_position", "link_velocity", "joint_torque")
     @classmethod
@@ -435,21 +412,16 @@ def beyond_sentence(beyond: Mapping[str, float]) -> str:
 
 
 class Uncertainty(Strict):
-    """The joint uncertainty of a diagnosis.
-
-    `factor` has the rows of a lower triangular L; L Lᵀ is the covariance of `names`, in their units. Names: numbers
-    as in `models.calibration` (`Kt`, `A2`, `link_encoder_zero`), parameters of effects (`effects.0.ratio`),
-    coefficients of discrepancies (`discrepancies.0.3`). Other numbers have their own `std` or tolerance.
-    `discrepancy` is the rms, in the balance's unit, of the data that the description does not explain; `beyond`, its
-    factor one whole range outside the range of validity.
-    """
+    """The joint uncertainty of a diagnosis: L Lᵀ is the covariance of `names`, in their units. Other numbers have
+    their own `std` or tolerance."""
 
     names: list[str]
-    """Of the quantities in the covariance."""
+    """Numbers as in `models.calibration` (`Kt`, `A2`, `link_encoder_zero`), parameters of effects
+    (`effects.0.ratio`), coefficients of discrepancies (`discrepancies.0.3`)."""
     factor: list[list[float]]
-    """Rows of the covariance's lower triangular factor."""
+    """Rows of the lower triangular L."""
     discrepancy: dict[Literal["motor_current", "joint_torque", "link_balance"], Annotated[float, Field(ge=0)]] = {}
-    """Rms that the description does not explain, by balance."""
+    """Rms, in the balance's unit, that the description does not explain, by balance."""
     beyond: Annotated[float, Field(ge=1)] = 1.0
     """Factor of `discrepancy` one whole range outside the range of validity."""
 

@@ -7,7 +7,8 @@ A *warning* is outside the range of products: sizes 8 to 65 of strain wave gears
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,6 @@ def check(source: str | Path) -> Checked:
 
 
 def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
-    """Return the joint if every field can be read, and all faults, a line each."""
     faults: list[str] = []
     try:
         return Joint.model_validate(data, context={"faults": faults}), faults
@@ -109,7 +109,6 @@ def _numbers(data: Mapping[str, Any]) -> dict[str, Number]:
 
 
 def _each(given: Any, model: type[BaseModel]) -> dict[str, Any]:
-    """Return the valid entries of a mapping."""
     found = {}
     for name, one in given.items() if isinstance(given, dict) else ():
         try:
@@ -136,7 +135,6 @@ def _mjcf(joint: Joint) -> list[Fault]:
 
 
 def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting]) -> Iterator[Fault]:
-    """Yield impossible or unusual numbers and mountings."""
     value = {symbol: number.value for symbol, number in numbers.items() if number.value > 0}
     fitted = {symbol for symbol, number in numbers.items() if number.nominal is not None}
     yield from contradictions(value, fitted)
@@ -153,45 +151,31 @@ def _odd_value(field: str, expected: str, got: float) -> Fault:
     return Fault("warning", field, f"expected {expected}, got {got:.3g}")
 
 
+_PROPORTIONS: tuple[tuple[str, Callable[[Mapping[str, float]], float], float, float, str], ...] = (
+    ("K2", lambda v: 1e3 * v["rated_torque"] / v["K2"], 0.3, 8, "a torsion of 0.3 to 8 mrad at rated torque (rated_torque/K2)"),
+    ("Kw0", lambda v: v["Kw0"] * v["N"] ** 2 / v["K1"], 0.2, math.inf,
+     "a wave generator no softer than 0.2 of the flexspline (N² Kw0/K1)"),
+    ("Fc", lambda v: 100 * v["Fc"] * v["N"] / v["rated_torque"], 0.5, 60,
+     "friction of 0.5 to 60 % of the rated torque (N Fc/rated_torque)"),
+    ("s0", lambda v: 1e3 * v["Fc"] / v["s0"], 0.02, 50, "0.02 to 50 mrad of presliding (Fc/s0, motor side)"),
+    ("bw", lambda v: v["bw"] * 200 / v["Fc"], 0, 20, "viscous friction at 200 rad/s of at most 20 Fc (200 bw/Fc)"),
+    ("L", lambda v: 1e3 * v["L"] / v["R"], 0.02, 50, "an electrical time constant of 0.02 to 50 ms (L/R)"),
+    ("Jm", lambda v: 1e3 * v["R"] * v["Jm"] / v["Kt"] ** 2, 0.05, 100,
+     "a mechanical time constant of 0.05 to 100 ms (R Jm/Kt²)"),
+    ("current_limit", lambda v: v["N"] * v["Kt"] * v["current_limit"] / v["rated_torque"], 0.3, 10,
+     "a motor that gives 0.3 to 10 times the gear's rated torque (N Kt current_limit/rated_torque)"),
+)  # fmt: skip
+"""Number, a ratio, its usual range, and the range in words: a wrong unit shows here if the number alone is possible."""
+
+
 def _proportions(value: Mapping[str, float]) -> Iterator[Fault]:
-    """Yield numbers that do not match each other: this finds a wrong unit of a number that is possible alone."""
-
-    def has(*symbols: str) -> bool:
-        return all(symbol in value for symbol in symbols)
-
-    if has("K2", "rated_torque"):
-        twist = 1e3 * value["rated_torque"] / value["K2"]
-        if not 0.3 <= twist <= 8:
-            yield _odd_value("numbers.K2", "a torsion of 0.3 to 8 mrad at rated torque (rated_torque/K2)", twist)
-    if has("T1", "rated_torque") and value["T1"] > value["rated_torque"]:
+    if value.get("T1", 0.0) > value.get("rated_torque", math.inf):
         yield _odd_value("numbers.T1", f"less than the rated torque {value['rated_torque']:g} N·m", value["T1"])
-    if has("K1", "Kw0", "N"):
-        ratio = value["Kw0"] * value["N"] ** 2 / value["K1"]
-        if ratio < 0.2:
-            yield _odd_value("numbers.Kw0", "a wave generator no softer than 0.2 of the flexspline (N² Kw0/K1)", ratio)
-    if has("Fc", "N", "rated_torque"):
-        share = 100 * value["Fc"] * value["N"] / value["rated_torque"]
-        if not 0.5 <= share <= 60:
-            yield _odd_value("numbers.Fc", "friction of 0.5 to 60 % of the rated torque (N Fc/rated_torque)", share)
-    if has("Fc", "s0"):
-        bristle = 1e3 * value["Fc"] / value["s0"]
-        if not 0.02 <= bristle <= 50:
-            yield _odd_value("numbers.s0", "0.02 to 50 mrad of presliding (Fc/s0, motor side)", bristle)
-    if has("Fc", "bw") and value["bw"] * 200 > 20 * value["Fc"]:
-        got = value["bw"] * 200 / value["Fc"]
-        yield _odd_value("numbers.bw", "viscous friction at 200 rad/s of at most 20 Fc (200 bw/Fc)", got)
-    if has("R", "L") and not 2e-5 <= value["L"] / value["R"] <= 0.05:
-        got = 1e3 * value["L"] / value["R"]
-        yield _odd_value("numbers.L", "an electrical time constant of 0.02 to 50 ms (L/R)", got)
-    if has("R", "Jm", "Kt"):
-        constant = 1e3 * value["R"] * value["Jm"] / value["Kt"] ** 2
-        if not 0.05 <= constant <= 100:
-            yield _odd_value("numbers.Jm", "a mechanical time constant of 0.05 to 100 ms (R Jm/Kt²)", constant)
-    if has("N", "Kt", "current_limit", "rated_torque"):
-        times = value["N"] * value["Kt"] * value["current_limit"] / value["rated_torque"]
-        if not 0.3 <= times <= 10:
-            expected = "a motor that gives 0.3 to 10 times the gear's rated torque (N Kt current_limit/rated_torque)"
-            yield _odd_value("numbers.current_limit", expected, times)
+    for symbol, ratio, low, high, expected in _PROPORTIONS:
+        with suppress(KeyError):  # a number is missing
+            got = ratio(value)
+            if not low <= got <= high:
+                yield _odd_value(f"numbers.{symbol}", expected, got)
 
 
 def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iterator[Fault]:
@@ -207,7 +191,6 @@ def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iter
 
 
 def _odd(joint: Joint) -> Iterator[Fault]:
-    """Yield unusual properties of a complete description."""
     p = joint.bare_record()[0]
     slope = sum(abs(float(o.order * o.amplitude.value)) for o in joint.kinematic_error) * float(p["N"])
     if slope >= 1:
@@ -225,7 +208,6 @@ def _odd(joint: Joint) -> Iterator[Fault]:
 
 
 def _effect(i: int, effect: Effect) -> Iterator[Fault]:
-    """Yield an effect's parameters far beyond ordinary size."""
     for q in causes.get(effect.name).parameters:
         largest = max((abs(high) for _, high in q.ordinary), default=math.inf)
         if q.magnitude and q.relative is None and abs(effect.values[q.name]) > 20 * largest:

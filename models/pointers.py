@@ -16,7 +16,6 @@ intrinsic: Any = numba_intrinsic  # what it makes takes no typing context, unlik
 
 
 def _array_of(numba_type: Any, llvm_type: Any) -> Any:
-    """Return a compiled function: integer address → pointer to numbers of a type."""
 
     @intrinsic
     def pointer(typingctx, address):

@@ -22,6 +22,7 @@ from pydantic import model_validator
 from . import units
 from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
+from .chunks import BLOCK
 from .errors import InputError, InputWarning, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
@@ -29,7 +30,6 @@ from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
-from .streams import BLOCK
 from .tables import reading_parquet, write_table
 from .text_tables import TextTable
 
@@ -324,7 +324,6 @@ def read_measurement(path: str | Path) -> Measurement:
 
 
 def _read_instead(table: Path) -> str:
-    """Return why another table of its stem is not read."""
     return f"{table.name} was read"
 
 
@@ -484,7 +483,6 @@ _WRITTEN = "flexspline.yaml"
 
 
 def _notes(recording: Recording) -> dict[str, str]:
-    """Return other metadata of a recording's table."""
     return {"flexspline.fixed": "; ".join(recording.fixed)} if recording.fixed else {}
 
 

@@ -239,7 +239,6 @@ _UNITS = set(
 
 
 def _spelt(cell: str) -> str:
-    """Return a unit in a cell without brackets."""
     return cell.strip().strip("[](){}").strip().lower()
 
 
@@ -371,7 +370,6 @@ class TextTable:
 
     @cached_property
     def _index(self) -> dict[str, tuple[int, int | None]]:
-        """Number of each column, and of an element in a list."""
         found: dict[str, tuple[int, int | None]] = {}
         for j, name in enumerate(self.head.names):
             count = self._lists[name]

@@ -116,7 +116,6 @@ def rigid(joints: Sequence[ArmJoint]) -> str:
 
 
 def _about_z(angle: float) -> list[float]:
-    """Return the quaternion of a rotation [rad] about the vertical."""
     return [float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle))]
 
 

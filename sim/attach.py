@@ -76,7 +76,6 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
 
 
 def _compiled(spec: mujoco.MjSpec, keys: bool = True) -> mujoco.MjModel:
-    """Return the model of a copy, without fusing bodies."""
     copy = spec.copy()
     copy.compiler.fusestatic = False
     if not keys:
@@ -155,7 +154,6 @@ def _change(spec: mujoco.MjSpec, name: str, record: np.ndarray, hinge: _Hinge) -
 
 
 def _without_defaults(element: Any, blank: Any, *kept: str) -> None:
-    """Remove the model's defaults from an added element."""
     own = {"classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata", *kept}
     for name in dir(element):
         if not name.startswith("_") and name not in own and not callable(getattr(element, name)):

@@ -256,7 +256,6 @@ class _Took(NamedTuple):
 
 
 def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
-    """Return a record of `_ADDRESSES` of the joint with a prefix, shape (1,)."""
     at = np.zeros(1, _ADDRESSES)
     for name in _FIELDS:
         at[name] = native.offsets()[name]

@@ -232,7 +232,6 @@ def _init(m, d, instance):
 
 @kernel
 def _block(d, instance):
-    """Return the address of an instance's header and record."""
     return word_at(word_at(d + 8 * _DATA) + 8 * instance)
 
 

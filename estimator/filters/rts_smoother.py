@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...models import streams
+from ...models.chunks import parts
 from ...models.kernels import kernel
 from ...models.signals import Signals
 from ..dynamics_filter import FILTER, OUT, filter_step, write_out
@@ -23,7 +23,7 @@ from ..motion import BLOCK
 from ..smoothed import in_time
 from ..trust import Watch
 from ..tuning_parameters import TuningParameter
-from .dynamics_ekf import DynamicsEKF
+from .dynamics_kalman import DynamicsEKF
 
 
 @kernel
@@ -100,14 +100,13 @@ class RTSSmoother(Estimator):
         return self._smoothed(signals, joint, ("torque", "variance", "external_torque"))
 
     def _smoothed(self, signals: Signals, joint: KnownJoint, names: tuple[str, ...]) -> Posterior:
-        """Return some of the filter's outputs, smoothed."""
         signals, joint = in_time(signals, joint)
         for name in self.needs:
             signals[name]
         filtered = DynamicsEKF(self.name, self.process)
         settings = filtered.settings(joint, sample_interval(signals))
-        n, parts = len(signals.time), list(streams.parts(len(signals.time), BLOCK, 1))
-        memory, known = np.zeros(1, FILTER), np.zeros(len(parts), FILTER)
+        n, blocks = len(signals.time), list(parts(len(signals.time), BLOCK))
+        memory, known = np.zeros(1, FILTER), np.zeros(len(blocks), FILTER)
         kept = _Kept(min(n, BLOCK) + 1, int(settings[0]["noise"]["count"]))
 
         def run(part: slice) -> np.ndarray:
@@ -120,13 +119,13 @@ class RTSSmoother(Estimator):
             return samples
 
         watch = Watch(joint.rated_torque, fields_of(OUT))
-        for i, part in enumerate(parts):
+        for i, part in enumerate(blocks):
             known[i] = memory[0]
             samples = run(part)
             out = kept.outputs(len(samples))
             watch.add(samples["time"], out.view(np.float64).reshape(len(out), -1))
         column = {name: np.empty(n) for name in names}
-        for i, part in reversed(list(enumerate(parts))):
+        for i, part in reversed(list(enumerate(blocks))):
             if part.stop < n:
                 kept.first_of_the_next(part.stop - part.start)
                 memory[0] = known[i]

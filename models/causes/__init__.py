@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from .. import plugins
 from ..plugins import Offer, Origin
 from .base import COMPONENTS, Cause, CauseParameter, Requirements, put_discrepancy, spline_through
-from .checks import checked
+from .checks import check
 
 if TYPE_CHECKING:
     from ..joint import Joint
@@ -50,7 +50,7 @@ def of(joint: Joint) -> list[str]:
 
 def get(name: str) -> Cause:
     """Return the cause of that name; `KeyError` if there is none."""
-    return _own()[name] if name in _own() else checked(offered()[name])
+    return _own()[name] if name in _own() else plugins.made(offered()[name], Cause, check)
 
 
 def origin(name: str) -> Origin:

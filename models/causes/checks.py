@@ -3,48 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, nearest
 from ..parameters import PARAMETERS, as_floats, neutral
-from ..plugins import Offer
 from ..signals import CHANNELS
 from .base import COMPONENTS, Cause, CauseParameter, Requirements
 
-_found: dict[int, tuple[Any, Cause]] = {}
-"""Checked objects by identity, with their causes."""
 _DRAWS = 8
 
 
-def checked(offer: Offer) -> Cause:
-    """Return a plugin's cause: an object of a subclass of `Cause`, or the class.
+def check(cause: Cause) -> None:
+    """Check a plugin's cause.
 
     Raises:
-      InputError: the fault, with the cause's name and origin.
+      InputError: its fault.
     """
-    given = offer.get()
-    if id(given) not in _found:
-        where = f"cause {offer.name!r} of {offer.origin.name}"
-        try:
-            _found[id(given)] = given, _cause(given, offer.name)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from error
-        except Exception as error:  # foreign code
-            raise InputError(f"{where}: {type(error).__name__}: {error}") from error
-    return _found[id(given)][1]
-
-
-def _cause(given: Any, name: str) -> Cause:
-    cause = given() if isinstance(given, type) and issubclass(given, Cause) else given
-    if not isinstance(cause, Cause):
-        raise InputError(f"expected a Cause, got {type(given).__name__}")
-    for field in ("name", "component", "description", "parameters"):
+    for field in ("component", "description", "parameters"):
         if not hasattr(cause, field):
             raise InputError(f"{field}: missing")
-    if cause.name != name:
-        raise InputError(f"name: expected {name!r}, its entry point, got {cause.name!r}")
     if cause.component not in COMPONENTS:
         raise InputError(f"component: expected one of {list(COMPONENTS)}, got {cause.component!r}")
     parameters = {q.name: q for q in cause.parameters if isinstance(q, CauseParameter)}
@@ -70,7 +48,6 @@ def _cause(given: Any, name: str) -> Cause:
     if not isinstance(cause.requires, Requirements):
         raise InputError(f"requires: expected Requirements, got {type(cause.requires).__name__}")
     _check_effect(cause)
-    return cause
 
 
 _SCALARS = [name for name in PARAMETERS.names or () if PARAMETERS[name].shape == ()]

@@ -37,7 +37,6 @@ class KinematicError(Cause):
 
     @staticmethod
     def _slot(p: np.void, order: float) -> int:
-        """Return the place of the order, or the first free place."""
         same = np.flatnonzero((p["order"] == order) & (p["amplitude"] != 0))
         free = np.flatnonzero(p["amplitude"] == 0)
         if not (same.size or free.size):

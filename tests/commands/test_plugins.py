@@ -241,8 +241,8 @@ BROKEN = {
     "a = 1\n1 / 0": "plugin {file}, line 2: ZeroDivisionError: division by zero",
     "a = 1\nraise SystemExit(0)": "plugin {file}, line 2: SystemExit: 0",
     "import sys\nsys.exit('bye')": "plugin {file}, line 2: SystemExit: bye",
-    "ESTIMATORS = (3,)": "estimator '3' of {file}: expected an Estimator, got int",
-    "CAUSES = (3,)": "cause '3' of {file}: expected a Cause, got int",
+    "ESTIMATORS = (3,)": "estimator '3' of {file}: expected a subclass of flexspline.estimator.estimator.Estimator, got int",
+    "CAUSES = (3,)": "cause '3' of {file}: expected a subclass of flexspline.models.causes.base.Cause, got int",
 }
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from flexspline.estimator import KnownJoint, SensorNoise, bound, joint_model
-from flexspline.estimator.filters import dynamics_ekf
+from flexspline.estimator.filters import dynamics_kalman
 from flexspline.estimator.joint_model import BRISTLE, EXTERNAL, LINK, LINK_RATE, MOTOR, SIZE, ProcessNoise
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
@@ -166,7 +166,7 @@ def test_a_filter_of_the_same_model_attains_it(record):
         external=intensity / float(record[0]["T2"]), push=0.0, mesh=0.0, mesh_push=0.0, torque=0.0, bristle=1e-4,
         floor=0.0,
     )  # fmt: skip
-    filtered = dynamics_ekf.DynamicsEKF(process=process)
+    filtered = dynamics_kalman.DynamicsEKF(process=process)
     errors, limits = [], []
     for seed in seeds:
         time, states, current, command, motor, link = walk(record, seed, intensity)

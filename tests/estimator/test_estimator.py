@@ -412,7 +412,7 @@ def test_estimators_of_other_packages(monkeypatch, known, signals):
     plugins._offers.cache_clear()
     wrong = (
         ("broken", "ModuleNotFoundError: No module named 'nowhere'"),
-        ("none", "expected an Estimator, got list"),
+        ("none", r"expected a subclass of flexspline.estimator.estimator.Estimator, got list"),
         ("renamed", "name: expected 'renamed', its entry point, got 'foreign'"),
         ("failing", "TypeError: .*needed"),
     )

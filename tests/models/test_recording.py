@@ -162,7 +162,7 @@ def test_a_bad_row_is_named(tmp_path, rows, words):
             "time,motor_position,link_position,motor_current,joint_torqe\n0,1,2,3,4\n1,1,2,3,4\n",
             ["'joint_torqe'", "unknown", "did you mean 'joint_torque'"],
         ),
-        ("time,time,motor_position,link_position,motor_current\n0,1,2,3,4\n", ["'time'", "twice"]),
+        ("time,time,motor_position,link_position,motor_current\n0,1,2,3,4\n", ["'time'", "duplicate"]),
     ],
 )
 def test_a_bad_header_is_named(tmp_path, header, words):

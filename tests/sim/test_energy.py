@@ -53,7 +53,7 @@ def drift(found, windows=10):
     ],
 )
 def test_no_drift_in_ten_seconds(mounting, start, timestep, changes):
-    """Wound springs without friction, damping and motor. Beyond a breakpoint, where the slope jumps, a finer step without load."""
+    """Wound springs without friction, damping and motor. Beyond a breakpoint, where the slope jumps, a finer step."""
     record = frictionless(mounting)
     for name, value in changes.items():
         record[0][name] = value
