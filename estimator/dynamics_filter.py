@@ -136,7 +136,7 @@ def _late_step(m, s, c, p, unscented):
     n = int(m.count)
     m.ring[n % RING] = s
     m.count = n + 1.0
-    # Every sample whose link reading has come by now: between the last two.
+    # Every sample whose link reading is available now, between the last two.
     k = int(m.done)
     while k <= n and (k == 0 or m.ring[k % RING].time + p.link_delay <= s.time or n - k >= RING - 2):
         then = m.ring[k % RING]

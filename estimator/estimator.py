@@ -336,7 +336,7 @@ class Estimator(ABC):
         Raises:
           InputError: a smoother.
         """
-        raise InputError(f"estimator {self.name!r}: expected one that can run in the loop, got one that looks ahead")
+        raise InputError(f"estimator {self.name!r}: expected a causal estimator for the loop, got a smoother")
 
 
 class CausalEstimator(Estimator):

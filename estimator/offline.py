@@ -25,7 +25,6 @@ import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,7 +34,7 @@ from ..models import dynamics, laws
 from ..models.chunks import StoredColumns, parts
 from ..models.errors import InputError
 from ..models.files import write_into_place
-from ..models.joint import Joint
+from ..models.joint import Joint, Mounting
 from ..models.kernels import kernel
 from ..models.recording import Recording
 from ..models.signals import Signals
@@ -240,22 +239,9 @@ def estimate_recording(
         if bands:
             # Bands simulate the dynamics nine times more: for costly estimators only on request.
             banded = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
-
-            def again(s: Signals, k: KnownJoint, banded: dict[str, Estimator] = banded) -> dict[_Key, np.ndarray]:
-                other: dict[_Key, np.ndarray] = {}
-                _estimate(prepare(s, k), banded, {}, partial(_put, other))
-                return other
-
-            reference = reference_torque(ready.signals, ready.known)
-            seen = {
-                "torque": ready.known.as_read(reference, ready.signals),
-                "external_torque": ready.own_torque - reference,
-            }
-            there = {(what, name): estimates[what, name] for name in banded for what in _QUANTITIES}
-            for key, apart_by in deviations(there, signals, known, joint, recording.link, again).items():
-                apart = disagreement(signals.time, estimates[key], seen[key[0]])
-                own = np.sqrt(beliefs.get(key[1], 0.0))
-                deviation[key[0]].put(key[1], segment, np.sqrt(apart_by**2 + apart**2 + own**2))
+            found_bands = _bands(signals, known, ready, banded, estimates, beliefs, joint, recording.link)
+            for (what, name), values in found_bands.items():
+                deviation[what].put(name, segment, values)
     kept = [name for name in estimators if name not in left_out]
     for columns in found.values():
         columns.keep(kept)
@@ -266,8 +252,35 @@ def estimate_recording(
     )
 
 
-def _put(found: dict[_Key, np.ndarray], what: str, name: str, values: np.ndarray) -> None:
-    found[what, name] = values
+def _bands(
+    signals: Signals,
+    known: KnownJoint,
+    ready: Prepared,
+    banded: Mapping[str, Estimator],
+    estimates: Mapping[_Key, np.ndarray],
+    beliefs: Mapping[str, np.ndarray],
+    joint: Joint,
+    link: Mounting,
+) -> dict[_Key, np.ndarray]:
+    """Return the standard deviations of a segment's estimates, shape (n,) each."""
+
+    def again(s: Signals, k: KnownJoint) -> dict[_Key, np.ndarray]:
+        other: dict[_Key, np.ndarray] = {}
+
+        def take(what: str, name: str, values: np.ndarray) -> None:
+            other[what, name] = values
+
+        _estimate(prepare(s, k), banded, {}, take)
+        return other
+
+    reference = reference_torque(ready.signals, ready.known)
+    seen = {"torque": ready.known.as_read(reference, ready.signals), "external_torque": ready.own_torque - reference}
+    there = {(what, name): estimates[what, name] for name in banded for what in _QUANTITIES}
+    found = {}
+    for key, change in deviations(there, signals, known, joint, link, again).items():
+        lag = disagreement(signals.time, estimates[key], seen[key[0]])
+        found[key] = np.sqrt(change**2 + lag**2 + np.sqrt(beliefs.get(key[1], 0.0)) ** 2)
+    return found
 
 
 def too_short(recording: Recording) -> bool:
@@ -364,7 +377,7 @@ def _estimate(
             untrusted.setdefault(name, posterior.untrusted)
         return None
 
-    # The longest first: what is compiled holds no lock.
+    # The longest first: compiled code does not hold the lock.
     order = sorted(able, key=lambda name: not able[name].costly)
     long = len(ready.signals.time) > _LONG
     alone = [name for name in order if long and not able[name].causal]

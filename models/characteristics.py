@@ -17,7 +17,7 @@ from .joint import Joint
 from .uncertainty import directions
 
 _POINTS = 121
-_TEST_DRIVE = (1.38e-5 + 8.1e-6) / 0.0603  # A·s²/rad: (Jm + Jw)/Kt of the test joint, whose gains are 8 and 0.08
+_TEST_DRIVE = (1.38e-5 + 8.1e-6) / 0.0603  # A·s²/rad: (Jm + Jw)/Kt of the test joint, with gains 8 and 0.08
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from .parameters import GRAVITY
 from .units import plain
 
 _RULE = "rule: "
-_TYPICAL = 0.4  # relative deviation of what a rule of proportion gives
+_TYPICAL = 0.4  # relative deviation of a rule of proportion
 _FACTOR_2, _FACTOR_3 = 1.0, 2.0  # tolerances: a standard deviation is a factor of 2, of 3
 _DRIVEN = ("N", "Kt", "R", "L", "Jm")
 
@@ -188,7 +188,7 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
             raise InputError(fault)
     if sheet.inertia is not None and not sheet.inertia > 0:
         raise InputError(f"inertia: expected a number > 0 kg·m², got {sheet.inertia:g}")
-    given = {"N": float(sheet.ratio)} | dict(sheet.numbers)  # mounted another way, a gear has a turn more
+    given = {"N": float(sheet.ratio)} | dict(sheet.numbers)  # a different mounting adds 1 to the ratio
     missing = [symbol for symbol in _DRIVEN if symbol not in given]
     if missing:
         raise InputError(f"datasheet: expected {', '.join(missing)}, got none")

@@ -274,7 +274,7 @@ class Estimate(Strict):
     """Standard deviation that a diagnosis found."""
 
 
-_ROUNDING = 1e-9  # of a bound: what writing a number and reading it again may cost
+_ROUNDING = 1e-9  # relative rounding of a written bound
 
 
 class Effect(Strict):
@@ -506,7 +506,7 @@ class Joint(Strict):
             if number.value <= 0:
                 yield f"link_tolerances.{key}.value: expected a scale > 0, got {number.value:g}"
         gain = self.sensors.joint_torque.gain
-        if gain is not None and gain.value == 0:  # one below zero is a sensor that reads the other way round
+        if gain is not None and gain.value == 0:  # below zero, the sensor is reversed
             yield "sensors.joint_torque.gain.value: expected a factor other than 0, got 0"
         for i, effect in enumerate(self.effects):
             if not causes.get(effect.name).adds and effect.name in [e.name for e in self.effects[:i]]:
@@ -520,7 +520,7 @@ class Joint(Strict):
             )
         elif plain:
             try:
-                record = self.record()  # more orders than there is room for is said here
+                record = self.record()  # raises if there are too many orders
             except InputError as error:
                 yield str(error)
             else:
@@ -559,7 +559,7 @@ class Joint(Strict):
     def placed(self) -> Iterator[Placed]:
         """Yield the numbers outside `numbers` that calibration changes."""
         for i, order in enumerate(self.kinematic_error):
-            # An order whose phase nobody knows is there twice, a quarter of a period apart.
+            # An order of unknown phase is there twice, a quarter of a period apart.
             name = f"{order.order:g}" + "′" * sum(other.order == order.order for other in self.kinematic_error[:i])
             yield Placed(f"A{name}", "amplitude", i, order.amplitude, f"kinematic_error.{i}.amplitude", "rad")
             yield Placed(f"φ{name}", "phase", i, order.phase, f"kinematic_error.{i}.phase", "rad")
@@ -636,7 +636,7 @@ class Joint(Strict):
         for symbol, number in self.numbers.items():
             if symbol in PARAMETERS_NAMES:
                 p[symbol] = number.value
-        # What the drive believes: a datasheet's constant stays in it whatever calibration makes of the motor's own.
+        # The drive keeps the datasheet constant when calibration changes the motor's.
         Kt = self.numbers["Kt"]
         p["Kt_drive"] = Kt.value if Kt.nominal is None else Kt.nominal
         for i, order in enumerate(self.kinematic_error):

@@ -74,7 +74,7 @@ def check(source: str | Path) -> Checked:
         found += _mjcf(joint)
     numbers = _numbers(data) if joint is None else joint.numbers
     mountings = _each(data.get("mountings"), Mounting) if joint is None else joint.mountings
-    wrong = {p.field.split(".")[1] for p in found if p.field.startswith("numbers.")}  # nothing follows from these
+    wrong = {p.field.split(".")[1] for p in found if p.field.startswith("numbers.")}  # these are wrong already
     found += _implausible({symbol: n for symbol, n in numbers.items() if symbol not in wrong}, mountings)
     if joint is not None and not faults:
         found += list(_odd(joint))
@@ -87,7 +87,7 @@ def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
         return Joint.model_validate(data, context={"faults": faults}), faults
     except ValidationError as error:
         lines = descriptions(error, Joint)
-    # Numbers that can be read are looked at all the same.
+    # Readable numbers are checked anyway.
     shared = data.get("shared_tolerances")
     known = shared if isinstance(shared, dict) else {}
     whole = data.get("numbers")

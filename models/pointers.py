@@ -12,7 +12,7 @@ from numba.np.numpy_support import from_dtype
 
 from .parameters import PARAMETERS
 
-intrinsic: Any = numba_intrinsic  # what it makes takes no typing context, unlike its function
+intrinsic: Any = numba_intrinsic  # typed: the result takes no typing context, unlike its function
 
 
 def _array_of(numba_type: Any, llvm_type: Any) -> Any:

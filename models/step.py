@@ -62,7 +62,7 @@ class Step:
             if self._compiled is None:
                 try:
                     self._compiled = c_function(types.int64(*map(from_dtype, self.records)), self.function)
-                except Exception as error:  # of a field that is not there Numba makes a KeyError
+                except Exception as error:  # a missing field is a KeyError in Numba
                     code = self.function.__code__
                     raise InputError(
                         f"{code.co_filename}, line {code.co_firstlineno}: {code.co_name}: expected a step that can be compiled, "
@@ -85,7 +85,7 @@ class PythonStep:
             try:
                 at = zip(addresses, records, strict=True)
                 return int(function(*(numpy_at(address, of, 1).view(np.recarray)[0] for address, of in at)))
-            except BaseException as error:  # nothing may pass through compiled code
+            except BaseException as error:  # no exception may pass through compiled code
                 self.error = error
                 return -1
 

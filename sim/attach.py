@@ -142,7 +142,7 @@ def _change(spec: mujoco.MjSpec, name: str, record: np.ndarray, hinge: _Hinge) -
     plant.put_laws(spec, record, prefix, name)
     moved = [one for one in spec.actuators if one.target == name and one.trntype in _AT_JOINT]
     for one in moved:
-        if one.inheritrange > 0:  # of the hinge, whose angle it still commands
+        if one.inheritrange > 0:  # it still commands the hinge's angle
             one.ctrlrange = np.mean(hinge.range) + 0.5 * one.inheritrange * np.ptp(hinge.range) * np.array([-1.0, 1.0])
             one.inheritrange = 0.0
         one.target, one.gear = prefix + "rotor", one.gear / p["N"]

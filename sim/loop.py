@@ -167,7 +167,7 @@ class ClosedLoop:
         for i, one in enumerate(joints):
             if one.crosstalk is not None:
                 crosstalk[i] = one.crosstalk
-        self._alive = model, data, steps, kept  # whose memory compiled code reads by address
+        self._alive = model, data, steps, kept  # keep alive: compiled code uses their addresses
         self._constant = (
             native.function_address("mj_step"), model._address, data._address,
             np.concatenate([_addresses(model, one.prefix) for one in joints]), substeps, timestep,

@@ -116,7 +116,7 @@ def at_positions(theta, velocity, previous, bristle, dahl, time, h, temperature,
     return state_of(theta, velocity, up, dahl, 0.0, time, temperature), t, g
 
 
-# Where MuJoCo keeps what the plugin reads, in 8-byte words. Compiled code takes them as constants.
+# Offsets of the plugin's inputs in MuJoCo's structures, in 8-byte words: constants of compiled code.
 _AT = native.offsets()
 _BODIES, _TENDONS, _TIMESTEP, _ATTRIBUTES, _ATTRIBUTE, _STATE_AT = (
     _AT[name] for name in ("nbody", "ntendon", "timestep", "plugin_attr", "plugin_attradr", "plugin_stateadr")
@@ -283,7 +283,7 @@ def _compute(m, d, instance, capability):
         memory[_NEXT + MEMORY + k] = velocity[k]
     w = velocity[WAVE_GENERATOR]
 
-    # All that the equations of motion say, less what MuJoCo adds itself: gravity, and half of every linear damping, which it
+    # The equations of motion without MuJoCo's own part: gravity, and half of every linear damping, which it
     # takes implicitly. The other half is explicit. Together that is the trapezoidal rule, second order
     # (docs/convergence.md).
     damper = 0.5 * p.df * (w / p.N - velocity[LINK])
@@ -295,13 +295,13 @@ def _compute(m, d, instance, capability):
     on_wave_generator -= more * b.ratio
     on_link += more
 
-    # Half of s1 is implicit, which is the trapezoidal rule while sticking; while sliding, the last change stands for the next.
+    # Half of s1 is implicit, which is the trapezoidal rule while sticking; while sliding, the last change is used for the next.
     sliding = p.s0 * state.bristle / g if w > 0.0 else -p.s0 * state.bristle / g
     change = w - previous[WAVE_GENERATOR]
     on_wave_generator += 0.5 * p.s1 * (w + sliding * change)
 
-    # Implicit in MuJoCo is each body's own damping, not what it owes to the other body's change of velocity: bodies
-    # of different branches have no common entry in its matrices. The last change stands for the next there, too.
+    # Implicit in MuJoCo is each body's own damping, without the coupling to the other body: bodies
+    # of different branches have no common entry in its matrices. The last change is used for the next there, too.
     rotor_change, link_change = velocity[ROTOR] - previous[ROTOR], velocity[LINK] - previous[LINK]
     on_rotor += 0.5 * p.dw * change
     on_wave_generator += 0.5 * p.dw * rotor_change + 0.5 * p.df / p.N * link_change

@@ -132,7 +132,7 @@ class RTSSmoother(Estimator):
                 samples = run(part)
             try:
                 out = kept.backward(samples, joint.record, settings, part.stop < n)
-            except np.linalg.LinAlgError as error:  # a covariance that is finite and whose inverse is not
+            except np.linalg.LinAlgError as error:  # a finite covariance without a finite inverse
                 raise FilterDiverged(self.name, n - 1, float(signals.time[-1]), f"its smoother: {error}") from error
             for name, values in column.items():
                 values[part] = out[:, fields_of(OUT).index(name)]

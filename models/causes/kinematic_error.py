@@ -30,7 +30,7 @@ class KinematicError(Cause):
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         slot = self._slot(p, values["order"])
-        p["amplitude"][p["order"] == values["order"]] = 0.0  # what the order had, in whatever many parts
+        p["amplitude"][p["order"] == values["order"]] = 0.0  # all parts of the order
         p["order"][slot] = values["order"]
         p["amplitude"][slot] = values["amplitude"]
         p["phase"][slot] = values["phase"]
