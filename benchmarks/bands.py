@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks import band_draws as bands
 from flexspline.diagnosis.trials.draw import Challenge, Hidden
 from flexspline.scenarios.evaluation.intervals import interval
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import kept, plots
 from .pages import ROOT, fill, share
@@ -92,7 +92,7 @@ def table(rows: Sequence[Row]) -> str:
         "without: inside [%]",
         "draws with ≥ 90 %",
     )
-    return markdown(heads, body)
+    return markdown_table(heads, body)
 
 
 def figure(rows: Sequence[Row], path: Path) -> None:

@@ -12,7 +12,7 @@ from flexspline.estimator import registry
 from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.scenarios.evaluation.limits import Limits, assess
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from .estimators import SCENARIOS
 from .pages import ROOT, fill, text
@@ -33,7 +33,7 @@ def table(found: Sequence[Limits]) -> str:
         "bound, joint known exactly [N·m]",
         "bound, within its tolerances",
     )
-    return markdown((*heads, *(f"`{n}`" for n in NAMES)), rows)
+    return markdown_table((*heads, *(f"`{n}`" for n in NAMES)), rows)
 
 
 def main(arguments: Sequence[str] = ()) -> None:

@@ -34,7 +34,7 @@ from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw_of, geom
 from flexspline.scenarios.evaluation.intervals import Interval
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import kept, plots
 from .estimators import SCENARIOS
@@ -178,7 +178,7 @@ def kind_table(results: Results, real: bool, names: Sequence[str] = NAMES) -> st
     heads = ["estimator"]
     for hidden in kinds:
         heads += [f"{LABELS[hidden]}: before [N·m]", "after", "exact", "after / before", "worse after"]
-    return markdown(heads, rows)
+    return markdown_table(heads, rows)
 
 
 def counts(results: Results, real: bool) -> str:

@@ -27,7 +27,7 @@ from flexspline.scenarios.evaluation import metrics
 from flexspline.scenarios.evaluation.draws import DrawnExperiment, rms
 from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.sim.loop import CONTROL_PERIOD
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import plots
 from .estimators import SCENARIOS, drawn
@@ -162,14 +162,14 @@ def shown(found: Map) -> list[tuple[str, str, str, str]]:
 def claim_table(found: Map) -> str:
     """Make the table of claims that hold, by reading and V."""
     rows = [(*s[1:3], *("yes" if held else "no" for held in found.claims(s))) for s in shown(found)]
-    return markdown(("α", "V", *CLAIMS), rows)
+    return markdown_table(("α", "V", *CLAIMS), rows)
 
 
 def calibration_table(found: Map) -> str:
     """Make the table of claims that hold, by number, over calibration errors and V."""
     walk = next(iter(W))
     rows = [(label, v, *(_codes(found, (label, r, v, walk)) for r in READINGS)) for label in MISMATCHES for v in V]
-    return markdown(("calibration", "V", *READINGS), rows)
+    return markdown_table(("calibration", "V", *READINGS), rows)
 
 
 def _codes(found: Map, setting: tuple[str, ...]) -> str:
@@ -190,7 +190,7 @@ _BINS = [f"sweep, {a:g}–{b:g} N·m" if b < 99 else f"sweep, over {a:g} N·m" f
 def mode_table(found: Map) -> str:
     """Share of robust mode by load, exact calibration."""
     rows = [(*s[1:3], *_shares(found, s)) for s in shown(found)]
-    return markdown(("α", "V", "no load", *_BINS, "at rest"), rows)
+    return markdown_table(("α", "V", "no load", *_BINS, "at rest"), rows)
 
 
 def count_table(found: Mapping[int, Map]) -> str:
@@ -201,7 +201,7 @@ def count_table(found: Mapping[int, Map]) -> str:
         for counts, one in found.items()
         for v in (SHIPPED, OWN)
     ]
-    return markdown(("counts", "V", *READINGS), rows)
+    return markdown_table(("counts", "V", *READINGS), rows)
 
 
 def mode_figure(csv_path: Path, path: Path) -> None:
@@ -232,7 +232,7 @@ def error_table(found: Map) -> str:
         "α", "V", "no load within 0.1 N·m [%]", *(f"{name} [N·m]" for name in SCENARIOS), "response [ms]",
         "noise / raw",
     )  # fmt: skip
-    return markdown(heads, rows)
+    return markdown_table(heads, rows)
 
 
 def write_csv(found: Map, path: Path) -> None:

@@ -21,7 +21,7 @@ from flexspline.scenarios.filters import estimators
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views import contact_views
 from flexspline.views.figures.sheet import save
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from .pages import ROOT, fill
 
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         "runs. All curves: [contact.csv](contact.csv)."
     )
     heads = ("external torque by", *(f"{label(*case)}: smallest push [N·m]; delay [ms]" for case in CASES))
-    table = markdown(heads, [(name, *(own.get(case, "–") for case in CASES)) for name, own in cells.items()])
+    table = markdown_table(heads, [(name, *(own.get(case, "–") for case in CASES)) for name, own in cells.items()])
     fill(asked.page, {"contact about": about, "contact": table})
     write_rows(asked.page.parent / "contact.csv", rows)
     save(contact_views.contact_figure(drawn, "collision"), asked.page.parent / "figures" / "contact.png")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from flexspline.scenarios.evaluation.intervals import Interval
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import plots
 from .pages import fill, text
@@ -59,7 +59,7 @@ def write(page: Path) -> None:
                 for head, measure, digits in (("response [ms]", "response", 1), ("share missed", "missed", 2))
             ],
         ),
-        "cost": markdown(("estimator", "µs per update", f"ratio to {REFERENCE}"), cost),
+        "cost": markdown_table(("estimator", "µs per update", f"ratio to {REFERENCE}"), cost),
     }
     fill(page, found)
     panels = {
@@ -87,7 +87,7 @@ def _table(columns: list, heads: list) -> str:
         ]
         if any(cell != "–" for cell in cells):
             rows.append((f"`{name}`", *cells))
-    return markdown(("estimator", *(head for head, *_ in heads)), rows)
+    return markdown_table(("estimator", *(head for head, *_ in heads)), rows)
 
 
 def _cell(value: Interval, measure: str, digits: int) -> str:

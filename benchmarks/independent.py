@@ -28,7 +28,7 @@ from flexspline.models.joint import Joint, Mounting, load_joint
 from flexspline.models.recording import Recording
 from flexspline.scenarios.evaluation.draws import geometric
 from flexspline.scenarios.evaluation.intervals import interval
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import kept, plots
 from .pages import ROOT, fill, text
@@ -126,7 +126,7 @@ def table(rows: Sequence[Row]) -> str:
                 ["1", "1"] if name == REFERENCE else [text(geometric(own, reference)), f"{np.max(own / reference):.2f}"]
             )
         lines.append(cells)
-    return markdown(heads, lines)
+    return markdown_table(heads, lines)
 
 
 def figure(rows: Sequence[Row], path: Path) -> None:
@@ -162,7 +162,7 @@ def beliefs(rows: Sequence[Row], name: str = NAMES[0]) -> str:
         "largest error / claimed",
         "error more than 3 times the claim",
     )
-    return markdown(heads, lines)
+    return markdown_table(heads, lines)
 
 
 def main(arguments: Sequence[str] = ()) -> None:

@@ -24,7 +24,7 @@ from flexspline.models.files import write_into_place
 from flexspline.scenarios.evaluation.draws import draw_of, drawn_record, geometric, rms, told, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import kept
 from .claims import READINGS, V, settings
@@ -116,7 +116,7 @@ def overall_table(results: Results) -> str:
                     for reading in READINGS
                 ]  # fmt: skip
                 rows.append((v, sensors, f"×{tolerance:g}", *cells))
-    return markdown(("V", "sensors", "tolerance", *READINGS), rows)
+    return markdown_table(("V", "sensors", "tolerance", *READINGS), rows)
 
 
 def write_csv(results: Results, path: Path) -> None:

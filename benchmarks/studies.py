@@ -18,9 +18,9 @@ from flexspline.scenarios.studies.statistics import Aggregate, aggregate, read_c
 from flexspline.scenarios.studies.study import Study, Value, load_study
 from flexspline.scenarios.studies.sweep import sweep, versions
 from flexspline.views.figures.sheet import save
-from flexspline.views.limit_tables import markdown
 from flexspline.views.sweep_figures import sweep_figure
 from flexspline.views.sweep_tables import cell, metric_column, value_text
+from flexspline.views.tables import markdown_table
 
 from . import plots
 from .pages import ROOT, fill
@@ -101,7 +101,7 @@ def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at
             cells = [cell(some.get(v), metric, column) for v in variants]
             if any(c != "–" for c in cells):
                 rows.append((scenario, *map(value_text, values), column.title, *cells))
-    return markdown(("scenario", *axes, "measure", *heads), rows)
+    return markdown_table(("scenario", *axes, "measure", *heads), rows)
 
 
 def _head(name: str, values: Iterable[tuple[str, Value | None]]) -> str:

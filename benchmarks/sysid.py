@@ -48,7 +48,7 @@ from flexspline.models.pointers import floats_at, word_at
 from flexspline.models.recording import Recording
 from flexspline.sim import native
 from flexspline.sim.loop import CONTROL_PERIOD
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from .convergence import MAGIC, callback, set_numbers, springs
 from .kept import computed
@@ -476,9 +476,9 @@ def tables(fits: Sequence[Fitted]) -> dict[str, str]:
         if f.hidden
     ]
     return {
-        "numbers": markdown(head, rows),
-        "time": markdown(("tool", "draws", "median core time [s]", "longest [s]"), cost),
-        "hidden": markdown(("hidden (draw)", "tool", "what it says", "core time [s]"), said)
+        "numbers": markdown_table(head, rows),
+        "time": markdown_table(("tool", "draws", "median core time [s]", "longest [s]"), cost),
+        "hidden": markdown_table(("hidden (draw)", "tool", "what it says", "core time [s]"), said)
         if said
         else "(not run yet)",
     }

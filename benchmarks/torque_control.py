@@ -20,7 +20,7 @@ from benchmarks.torque_loops import DEFAULT, Loop, assess
 from flexspline.estimator import registry
 from flexspline.scenarios.evaluation.intervals import Interval, median
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import kept, plots
 from .pages import ROOT, fill
@@ -82,7 +82,7 @@ def table(rows: Sequence[Row]) -> str:
         row = (name, *margins, text(median([r.bandwidth for r in stable]), 0), text(error, 2))
         cells.append((error.mean if np.isfinite(error.mean) else np.inf, row))
     heads = ("fed back", "stable", "gain margin", "delay margin [ms]", "bandwidth [Hz]", "error [N·m]")
-    return markdown(heads, [row for _, row in sorted(cells, key=lambda cell: cell[0])])
+    return markdown_table(heads, [row for _, row in sorted(cells, key=lambda cell: cell[0])])
 
 
 def figure(rows: Sequence[Row], path: Path) -> None:

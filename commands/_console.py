@@ -1,9 +1,9 @@
-"""The consoles of the commands: results to stdout, where tables keep their width if it is no terminal; progress to stderr."""
+"""The consoles of the commands: results to stdout, progress to stderr."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -12,10 +12,11 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 _WIDTH = 132
+"""Columns where the output is not a terminal."""
 
 
 def console() -> Console:
-    """Console for results: text is printed as it is, nothing in it is taken for a style."""
+    """Return the console for results, which prints text without markup."""
     from rich.console import Console
 
     found = Console(markup=False, highlight=False, emoji=False)
@@ -24,8 +25,23 @@ def console() -> Console:
     return Console(width=max(found.width, _WIDTH), markup=False, highlight=False, emoji=False)
 
 
+def print_table(
+    terminal: Console, title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1, caption: str = ""
+) -> None:
+    """Print a table; its first `left` columns are aligned to the left, the others to the right."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), caption=Text(caption) if caption else None)
+    for i, head in enumerate(heads):
+        table.add_column(Text(head), justify="left" if i < left else "right")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    terminal.print(table)
+
+
 def progress(counting: bool = False, remaining: bool = False) -> Progress:
-    """A progress bar that vanishes, on a terminal only; `counting`: done of how many; `remaining`: the time that is left."""
+    """Return a progress bar that disappears, on a terminal only; with a count and the remaining time, if asked for."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -42,36 +58,29 @@ def progress(counting: bool = False, remaining: bool = False) -> Progress:
     columns += [TimeElapsedColumn()]
     columns += [TimeRemainingColumn()] if remaining else []
     terminal = Console(stderr=True)
-    terminal.quiet = not terminal.is_terminal  # where nothing is shown Rich 13 ends it with an empty line
+    terminal.quiet = not terminal.is_terminal  # otherwise Rich 13 ends with an empty line
     return Progress(*columns, console=terminal, transient=True, disable=not terminal.is_terminal)
 
 
 @contextmanager
 def stages(what: str) -> Iterator[Callable[[str, float], None]]:
-    """Show the stages of one piece of work on stderr; gives what is called with a stage that begins and the share that is done.
+    """Show the stages of a computation on stderr; yield a function of the stage that begins and the share that is done.
 
-    On a terminal a bar that vanishes, with the time that it has taken; elsewhere a line a stage. What begins once more does not
-    take the share back.
+    On a terminal it is a bar that disappears, elsewhere a line per stage. The share never decreases.
     """
     from rich.console import Console
 
     terminal = Console(stderr=True, emoji=False)
-    begin, most = time.monotonic(), 0.0
-
-    def furthest(done: float) -> float:
-        nonlocal most
-        most = max(most, done)
-        return most
-
+    begin, most, last = time.monotonic(), 0.0, ""
     if not terminal.is_terminal:
-        told = ""
 
         def line(stage: str, done: float) -> None:
-            nonlocal told
-            if stage != told:
-                told = stage
-                share, seconds = furthest(done), time.monotonic() - begin
-                terminal.print(f"{seconds:6.1f} s {100 * share:3.0f} %  {stage}", markup=False, highlight=False)
+            nonlocal most, last
+            most = max(most, done)
+            if stage != last:
+                last = stage
+                text = f"{time.monotonic() - begin:6.1f} s {100 * most:3.0f} %  {stage}"
+                terminal.print(text, markup=False, highlight=False)
 
         yield line
         return
@@ -84,4 +93,10 @@ def stages(what: str) -> Iterator[Callable[[str, float], None]]:
     columns = (SpinnerColumn(), stage_column, BarColumn(20), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=terminal, transient=True) as bar:
         task = bar.add_task(what, total=1.0)
-        yield lambda stage, done: bar.update(task, description=stage, completed=furthest(done))
+
+        def update(stage: str, done: float) -> None:
+            nonlocal most
+            most = max(most, done)
+            bar.update(task, description=stage, completed=most)
+
+        yield update

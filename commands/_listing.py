@@ -1,4 +1,4 @@
-"""Lists of what there is, by name: a table for people, JSON for programs."""
+"""Lists by name: a table for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a ta
 
 @dataclass(frozen=True)
 class Entry:
-    """One thing of a list: what it is in a few words, a line about it, where it comes from where that is not this package."""
+    """An entry of a list: its kind in a few words, a line of description, and its source."""
 
     kind: str
     description: str
@@ -23,12 +23,7 @@ class Entry:
 
 
 def show(what: str, entries: Mapping[str, Entry], as_json: bool) -> None:
-    """Print a list; it is readable in 80 columns.
-
-    Args:
-      what: heading of the names.
-      entries: by name.
-    """
+    """Print a list in 80 columns, or as JSON; `what`: heading of the names."""
     if as_json:
         print(json.dumps({name: asdict(entry) for name, entry in entries.items()}, indent=1, ensure_ascii=False))
         return

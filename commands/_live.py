@@ -1,4 +1,4 @@
-"""A scenario that runs while a viewer shows it: the loop, its filters and the viewer's process, put together."""
+"""A scenario that runs while a viewer shows it."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ if TYPE_CHECKING:
     from ..views.rerun import LiveRecording
 
 ADDRESS = "127.0.0.1"
-"""What the viewer listens on: this computer only."""
+"""Address of the viewer: this computer only."""
 UPDATE = 0.04
 """Time between two updates of the viewer [s]."""
 _LONGEST = 1.0
-"""Most time between two updates [s], where a computer is too slow for more."""
+"""Longest time between two updates on a slow computer [s]."""
 _PATIENCE = 30.0
-"""Time in which a viewer opens [s]."""
+"""Time for a viewer to open [s]."""
 
 
 def show_live(live: LiveRun, words: list[str], environment: dict[str, str], port: int, speed: float) -> Run | None:
-    """Run a scenario before a viewer that is opened for it.
+    """Open a viewer, and run a scenario in it.
 
     Args:
       live: the scenario.
-      words, environment: of the viewer's process, which listens on `port` of this computer.
+      words, environment: of the viewer's process, which listens on `port`.
       speed: seconds of the scenario per second.
 
     Returns:
-      The whole run once the viewer is closed; None where it was closed before the end.
+      The whole run after the viewer is closed; None if it was closed before the end.
 
     Raises:
-      InputError: a viewer that does not open; and as of `scenarios.run.run_scenario`. FilterDiverged: likewise.
+      InputError: a viewer that does not open. InputError, FilterDiverged: as `scenarios.run.run_scenario`.
     """
-    os.environ.setdefault("RUST_LOG", "off")  # that a viewer was closed is no error here
+    os.environ.setdefault("RUST_LOG", "off")  # a closed viewer is not an error
     import rerun as rr
 
     from ..views.rerun import LiveRecording
 
-    first = live.advance(speed * UPDATE)  # compiles what is new, and fails where it fails, before there is a window
+    first = live.advance(speed * UPDATE)  # compiles kernels, and raises errors, before the window opens
     with viewer_process(words, environment, subprocess.DEVNULL) as viewer:
         _wait_for(viewer, port)
         stream = rr.RecordingStream(f"flexspline live {live.scenario.name}")
@@ -69,10 +69,10 @@ def play(
     first: Run | None = None,
     viewer: subprocess.Popen[bytes] | None = None,
 ) -> Run | None:
-    """Run a scenario as fast as `speed` says, or as it can, and show every stretch; `first` is one that has been simulated.
+    """Run a scenario at `speed`, or as fast as possible, and show every stretch; `first`: stretch that is already simulated.
 
     Returns:
-      The whole run; None where the viewer was closed before its end.
+      The whole run; None if the viewer was closed before its end.
     """
     begin = time.monotonic() - live.done / speed
     if first is not None:
@@ -91,7 +91,7 @@ def play(
 
 
 def free_port() -> int:
-    """A port of this computer that nobody listens on."""
+    """Return a free port of this computer."""
     with socket.socket() as found:
         found.bind((ADDRESS, 0))
         return int(found.getsockname()[1])
@@ -101,7 +101,7 @@ def free_port() -> int:
 def viewer_process(
     words: list[str], environment: dict[str, str], stdout: int | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A viewer's process, which does not outlive the block; arguments as of `subprocess.Popen`."""
+    """Start a viewer's process and end it with the block; arguments as of `subprocess.Popen`."""
     viewer = subprocess.Popen(words, env=environment, stdout=stdout)
     try:
         with at_end(viewer.terminate):
@@ -122,4 +122,4 @@ def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
         with contextlib.suppress(OSError), socket.create_connection((ADDRESS, port), timeout=1.0):
             return
         time.sleep(0.05)
-    raise InputError("view: expected a viewer that opens, got none; where there is no display, use --web")
+    raise InputError("view: expected a viewer that opens, got none; use --web if there is no display")

@@ -1,4 +1,4 @@
-"""The measurement that a command was given."""
+"""The measurement that a command is given."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ if TYPE_CHECKING:
     from ..models.recording import Measurement
 
 
-def parted_measurement(path: str | Path, option: str | None) -> tuple[Measurement, Joint]:
-    """A measurement with gaps where samples are missing that its time does not show, which is told; and its description."""
+def load_measurement(path: str | Path, option: str | None) -> tuple[Measurement, Joint]:
+    """Load a measurement, split where samples are missing, and its joint; report splits on stderr."""
     from ..diagnosis.data.samples import parted
 
-    data = measurement_at(path)
+    data = read_measurement_files(path)
     joint = data.load_joint(option)
-    data, said = parted(data, joint)
-    for text in said:
+    data, messages = parted(data, joint)
+    for text in messages:
         print(f"flexspline: {text}", file=sys.stderr)
     return data, joint
 
 
-def measurement_at(path: str | Path) -> Measurement:
-    """Read a measurement (`models.recording.read_measurement`); tables in its folder that are no part of it are told,
-    but not those that a command wrote beside it: a run folder holds signals and estimates."""
+def read_measurement_files(path: str | Path) -> Measurement:
+    """Read a measurement; report on stderr tables of its folder that are not part of it, except those of commands."""
     from ..models.output import manifest
     from ..models.recording import read_measurement
 

@@ -1,9 +1,11 @@
-"""Mistakes in the data as a table: what `check` and `import` share."""
+"""Mistakes in the data as a table: shared by `check`, `import` and `validate`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+from ._console import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -11,28 +13,22 @@ if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
 
 
-def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], mending: str = "", mended: bool = False) -> None:
-    """Print mistakes with the change that mends each; one line where there is none.
+def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], command: str = "", corrected: bool = False) -> None:
+    """Print mistakes with their corrections.
 
     Args:
-      mending: command line that mends them, empty where there is none. mended: whether they are mended now.
+      command: line that corrects them, empty if there is none. corrected: whether they are corrected already.
     """
-    from rich.table import Table
-    from rich.text import Text
-
     if not mistakes:
         terminal.print("no mistake in the data was found")
         return
-    table = Table(title="Mistakes in the data, " + ("mended" if mended else "and what mends them"))
-    for heading in ("mistake", "column", "recording", "what", "mended by", "confidence"):
-        table.add_column(heading)
-    for m in mistakes:
-        cells = (m.name, m.columns or "–", m.recording or "all", m.description, m.change, f"{m.confidence:.2f}")
-        table.add_row(*map(Text, cells))
-    terminal.print(table)
-    if mending and any(m.sure for m in mistakes):
-        terminal.print(Text(f"mended by: {mending}"), soft_wrap=True)
+    heads = ("mistake", "column", "recording", "what", "correction", "confidence")
+    rows = [
+        (m.name, m.columns or "–", m.recording or "all", m.description, m.change, f"{m.confidence:.2f}")
+        for m in mistakes
+    ]
+    print_table(terminal, f"Mistakes in the data, {'corrected' if corrected else 'and corrections'}", heads, rows, 6)
+    if command and any(m.sure for m in mistakes):
+        terminal.print(f"to correct them: {command}", soft_wrap=True)
     if not all(m.sure or m.lost for m in mistakes):
-        terminal.print(
-            "no change makes the channels fit this joint; what is half sure at most would mend most, and --fix leaves it"
-        )
+        terminal.print("no correction makes the channels fit this joint; --fix applies none below a confidence of 0.5")

@@ -13,13 +13,13 @@ import typer
 from ..models.errors import InputError
 
 _SET_HELP = (
-    "Override `KEY=VALUE` in the scenario, SI units; dotted keys reach inside. Examples: `duration=20` [s], "
+    "Override `KEY=VALUE` in the scenario, SI units, with dotted keys. Examples: `duration=20` [s], "
     "`controller.kp=6` [A/rad], `filters.2.k=0.1`, `plant.K1=9000` [N·m/rad], `temperature=40` [°C]. Repeatable."
 )
 
 
 def shipped(room: str) -> Callable[[str], list[str]]:
-    """Names that a shell completes: of the YAML files of a room."""
+    """Return a function that completes names of the YAML files in a folder of the package."""
 
     def names(incomplete: str) -> list[str]:
         found = (path.stem for path in (Path(__file__).resolve().parents[1] / room).glob("*.yaml"))
@@ -28,9 +28,9 @@ def shipped(room: str) -> Callable[[str], list[str]]:
     return names
 
 
-MeasurementPath = Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")]
+MeasurementPath = Annotated[Path, typer.Argument(help="a recording, or a folder of several of the same joint")]
 ResultFolder = Annotated[Path, typer.Option(help="folder to write to")]
-OtherJoint = Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")]
+OtherJoint = Annotated[str | None, typer.Option(help="name or path of a joint; by default the recordings' joint")]
 Scenarios = Annotated[
     list[str],
     typer.Argument(help="Names of shipped scenarios, or paths of YAML files.", autocompletion=shipped("scenarios")),
@@ -51,21 +51,27 @@ Estimators = Annotated[
 Vary = Annotated[
     bool,
     typer.Option(
-        help="Draw start, pace and pushes per seed. Without it all seeds have one motion and are all but one run: intervals "
-        "over them mean nothing."
+        help="Draw start, pace and pushes per seed. Without it, all seeds have the same motion, and intervals over them are "
+        "wrong."
     ),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", min=1, help="How many at a time; all cores by default. The result does not depend on it."),
 ]
 Changes = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=_SET_HELP)]
 Plugins = Annotated[
     list[Path] | None,
     typer.Option(
-        "--plugin", metavar="FILE.py", help="A file with own estimators or causes; repeatable. See docs/plugins.md."
+        "--plugin",
+        metavar="FILE.py",
+        help="A file with your own estimators or causes; repeatable. See docs/plugins.md.",
     ),
 ]
 
 
 def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the option `--plugin`: the files are known while it runs, and what fails in a plugin is one line."""
+    """Add the option `--plugin` to a command; an error in a plugin is reported in one line."""
 
     @functools.wraps(command)
     def run(*, plugin: list[Path] | None = None, **options: Any) -> None:
@@ -83,10 +89,10 @@ def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
             except Exception as error:
                 from ..estimator.errors import FilterDiverged
 
-                told = None if isinstance(error, FilterDiverged) else plugins.blamed(error)
-                if told is None:
+                blamed = None if isinstance(error, FilterDiverged) else plugins.blamed(error)
+                if blamed is None:
                     raise
-                raise told from error
+                raise blamed from error
 
     given = inspect.signature(command, eval_str=True)
     option = inspect.Parameter("plugin", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Plugins)

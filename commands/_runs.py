@@ -1,17 +1,17 @@
-"""Running several scenarios side by side with a progress bar: what `run` and `compare` share."""
+"""Running several scenarios at the same time: what `run` and `compare` share."""
 
 from __future__ import annotations
 
 import importlib
 import os
 import shlex
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError
 from ._console import progress
-from ._drawing import drawing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,24 +26,21 @@ PAPER = ["no_load", "link_sweep", "external_push"]
 """The paper's three experiments."""
 
 
-_LATER = ("pyarrow.parquet", f"{__name__.partition('.')[0]}.views.tables")
-"""What is needed once a scenario has been run."""
-
-
-def load_all(names: list[str], changes: list[str] | None, seed: int | None = None) -> list[tuple[Scenario, Path]]:
-    """Scenarios with the folders of their files.
+def load_all(names: list[str], changes: list[str] | None) -> list[tuple[Scenario, Path]]:
+    """Load scenarios, with the folders of their files.
 
     Raises:
-      InputError: one that is wrong, or that is named twice.
+      InputError: a scenario that is wrong, or named twice.
     """
     from ..scenarios.scenario import load_scenario
 
-    loaded = [load_scenario(name, changes, seed) for name in names]
-    _each_once([scenario.name for scenario, _ in loaded])
+    loaded = [load_scenario(name, changes) for name in names]
+    check_each_once([scenario.name for scenario, _ in loaded])
     return loaded
 
 
-def _each_once(names: list[str]) -> None:
+def check_each_once(names: list[str]) -> None:
+    """Refuse a scenario that is named twice."""
     for i, name in enumerate(names):
         if name in names[:i]:
             raise InputError(f"scenario {name}: expected each scenario once, got it twice")
@@ -52,66 +49,90 @@ def _each_once(names: list[str]) -> None:
 def run_all(
     names: list[str], out: Path, seed: int | None, changes: list[str] | None, figures: bool, recording: bool
 ) -> list[tuple[Run, Path]]:
-    """Run scenarios on as many threads as there are cores, into folders below `out`; all are read before the first is run."""
-    views = [name for name, wanted in (("figures", figures), ("recording", recording)) if wanted]
-    with drawing(views, len(names)) as begin:
-        from ..scenarios.arms.arm_run import run_arm, save_arm
-        from ..scenarios.arms.arm_scenario import ArmScenario, load_any
-        from ..scenarios.run import run_scenario
-        from ..scenarios.run_folder import check_run_folder, save_run
+    """Run scenarios, one per core, into folders below `out`. All are read and checked before the first one runs."""
+    from ..scenarios.arms.arm_run import run_arm, save_arm
+    from ..scenarios.arms.arm_scenario import ArmScenario, load_any
+    from ..scenarios.run import run_scenario
+    from ..scenarios.run_folder import save_run
 
-        loaded = [load_any(name, changes, seed) for name in names]
-        _each_once([scenario.name for scenario, _ in loaded])
-        # What cannot run is known before the first does.
-        for scenario, source in loaded:
-            own = out / scenario.name
-            places: list[tuple[Scenario, Path]] = (
-                [(joint, own / joint.name) for joint in scenario.arm]
-                if isinstance(scenario, ArmScenario)
-                else [(scenario, own)]
-            )
-            for joint, place in places:
-                for described in joint.load_joint(source.parent):
-                    joint.mount(described)
-                check_run_folder(joint, source, place, out)
-        cores = os.cpu_count() or 1
-        at_once = min(cores, len(loaded))
+    loaded = [load_any(name, changes, seed) for name in names]
+    check_each_once([scenario.name for scenario, _ in loaded])
+    for scenario, source in loaded:
+        _check(scenario, source, out)
+    views = [view for view, wanted in ((_draw_figures, figures), (_write_recording, recording)) if wanted]
+    threading.Thread(target=_import, args=(figures, recording), daemon=True).start()
+    cores = os.cpu_count() or 1
+    at_once = min(cores, len(loaded))
+    with progress() as bar:
+        task = bar.add_task("simulating", total=len(loaded) * 2)
+
+        def one(scenario: Scenario | ArmScenario, source: Path) -> list[tuple[Run, Path]]:
+            place, threads = out / scenario.name, max(1, cores // at_once)
+            if isinstance(scenario, ArmScenario):
+                runs = run_arm(scenario, source.parent, threads)
+                bar.update(task, advance=1, description=f"{scenario.name}: writing")
+                saved = list(zip(runs.values(), save_arm(scenario, runs, place, views, out), strict=True))
+            else:
+                run = run_scenario(scenario, source.parent, threads)
+                bar.update(task, advance=1, description=f"{scenario.name}: writing")
+                saved = [(run, save_run(run, place, views, out))]
+            bar.update(task, advance=1)
+            return saved
+
         pool = ThreadPoolExecutor(at_once, thread_name_prefix="run")
-        with progress() as bar:
-            task = bar.add_task("simulating", total=len(loaded) * 2)
+        futures = [pool.submit(one, scenario, source) for scenario, source in loaded]
+        try:
+            return [found for future in futures for found in future.result()]
+        except Exception:
+            pool.shutdown(cancel_futures=True)
+            raise
 
-            def one(scenario: Scenario | ArmScenario, source: Path) -> list[tuple[Run, Path]]:
-                place, threads = out / scenario.name, max(1, cores // at_once)
-                if isinstance(scenario, ArmScenario):
-                    runs = run_arm(scenario, source.parent, threads)
-                    bar.update(task, advance=1, description=f"{scenario.name}: writing")
-                    saved = list(zip(runs.values(), save_arm(scenario, runs, place, begin, out), strict=True))
-                else:
-                    run = run_scenario(scenario, source.parent, threads)
-                    bar.update(task, advance=1, description=f"{scenario.name}: writing")
-                    saved = [(run, save_run(run, place, begin, out))]
-                bar.update(task, advance=1)
-                return saved
 
-            futures = [pool.submit(one, scenario, source) for scenario, source in loaded]
-            for module in _LATER:  # a simulation that is under way does not hold the interpreter's lock
-                importlib.import_module(module)
-            try:
-                return [found for future in futures for found in future.result()]
-            except Exception:
-                pool.shutdown(cancel_futures=True)
-                raise
-            finally:  # whoever interrupts does not wait for a simulation that is under way
-                pool.shutdown(wait=False, cancel_futures=True)
+def _import(figures: bool, recording: bool) -> None:
+    """Import the libraries for drawing while scenarios run: simulations do not hold the interpreter's lock."""
+    package = __name__.partition(".")[0]
+    names = [f"{package}.views.figures.{name}" for name in ("error", "experiments", "filters", "overview", "zoom")]
+    for name in (*(names if figures else ()), *([f"{package}.views.rerun"] if recording else ())):
+        importlib.import_module(name)
+
+
+_drawing = threading.Lock()
+"""Held while figures are drawn: matplotlib's settings are those of the whole process."""
+
+
+def _draw_figures(run: Run, folder: Path) -> None:
+    from ..views.figures import save_figures
+
+    with _drawing:
+        save_figures(run, folder / "figures")
+
+
+def _write_recording(run: Run, folder: Path) -> None:
+    from ..views.rerun import write_rerun
+
+    write_rerun(run, folder / "run.rrd")
+
+
+def _check(scenario: Scenario | ArmScenario, source: Path, out: Path) -> None:
+    """Refuse a scenario that cannot run or be written, before any scenario runs."""
+    from ..scenarios.arms.arm_scenario import ArmScenario
+    from ..scenarios.run_folder import check_run_folder
+
+    place, arm = out / scenario.name, isinstance(scenario, ArmScenario)
+    for joint in scenario.arm if isinstance(scenario, ArmScenario) else [scenario]:
+        folder = place / joint.name if arm else place
+        for described in joint.load_joint(source.parent):
+            joint.mount(described)
+        check_run_folder(joint, source, folder, out)
 
 
 def metrics_of(runs: list[tuple[Run, Path]]) -> dict[str, Any]:
-    """For programs: by scenario the folder, what whoever reads the measures should know, and the measures."""
+    """Return by scenario the folder, the notes and the metrics, for `--json`."""
     return {run.name: {"folder": str(folder), "notes": list(run.notes), **run.metrics} for run, folder in runs}
 
 
-def tell(terminal: Console, runs: list[tuple[Run, Path]]) -> None:
-    """Print what whoever reads the runs' measures should know; and how to tune what misjudges itself on a joint of one's own."""
+def print_notes(terminal: Console, runs: list[tuple[Run, Path]]) -> None:
+    """Print notes on the metrics; and how to tune filters whose variance is wrong for this joint."""
     from ..models import plugins
     from ..views.tables import misjudged
 

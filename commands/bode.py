@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ._listing import AsJson
-from ._measurement import parted_measurement
+from ._measurement import load_measurement
 from ._options import OtherJoint, ResultFolder, with_plugins
 
 EXAMPLES = (
@@ -19,14 +19,14 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    source: Annotated[str, typer.Argument(help="a measurement, or a scenario (its name or YAML file) that is run")],
+    source: Annotated[str, typer.Argument(help="a measurement, or a scenario (name or YAML file) to run")],
     out: ResultFolder,
     joint: OtherJoint = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show a frequency response from motor current to velocity, measured and simulated, with coherence and resonances.
+    """Compute the frequency response from motor current to velocity, measured and simulated.
 
-    Excite the joint with a chirp or multisine (docs/scenarios.md). Writes `bode.csv` and `bode.png`.
+    Excite the joint with a chirp or multisine (docs/scenarios.md). Writes `bode.csv` and `bode.png`, and prints resonances.
     """
     import numpy as np
     import pandas as pd
@@ -41,7 +41,7 @@ def command(
     maker, names = made_from("bode", source), ["bode.csv", "bode.png"]
     path = Path(source)
     if path.exists() and path.suffix not in (".yaml", ".yml"):
-        data, described = parted_measurement(path, joint)
+        data, described = load_measurement(path, joint)
         inputs = data.files
     else:
         from ..models.joint import load_joint

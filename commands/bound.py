@@ -1,4 +1,4 @@
-"""`flexspline bound`: how far every estimator is from what is possible, and whether it knows."""
+"""`flexspline bound`: errors of estimators relative to the Cramér-Rao bound."""
 
 from __future__ import annotations
 
@@ -25,18 +25,16 @@ def command(
         float | None,
         typer.Option(
             min=0,
-            help="Of the external torque's random walk in the bound, N·m/√s; by default fitted to what the scenario's "
-            "own changes up to 20 Hz.",
+            help="Of the external torque's random walk in the bound, N·m/√s; by default fitted to the scenario's external "
+            "torque up to 20 Hz.",
         ),
     ] = None,
     tolerance: Annotated[
         float,
-        typer.Option(
-            min=0, help="Share of the joint's tolerances that are the prior of the second bound; 0 leaves it out."
-        ),
+        typer.Option(min=0, help="Share of the joint's tolerances that are the prior of the second bound; 0 omits it."),
     ] = 1.0,
     walk: Annotated[
-        bool, typer.Option(help="Replace the disturbances by draws of that random walk: the bound's own model.")
+        bool, typer.Option(help="Replace the disturbances by draws of that random walk, which is the bound's model.")
     ] = False,
     vary: Vary = True,
     out: Annotated[
@@ -45,17 +43,17 @@ def command(
     changes: Changes = None,
     as_json: AsJson = False,
 ) -> None:
-    """Hold every estimator against the posterior Cramér-Rao bound; NIS, NEES and whiteness of the innovations.
+    """Compare every estimator with the posterior Cramér-Rao bound; NIS, NEES and whiteness of the innovations.
 
-    The bound holds for the joint's dynamics, exactly known, with a random-walk external torque, and the encoders' noise; beside
-    it stands the one for a joint that is known within its tolerances. Of a scripted scenario it is a yardstick: a filter that
-    adapts may fall below it. With `--walk` it may not.
+    The bound is for an exactly known joint with a random-walk external torque and the encoders' noise. A second bound is for a
+    joint that is known within its tolerances. In a scripted scenario, an adaptive filter may be below the bound; with
+    `--walk` it cannot.
     """
     from ..models.errors import InputError
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation.limits import assess, fitted_intensity, matched
     from ..scenarios.filters import estimators
-    from ..views.limit_tables import limits_table
+    from ..views.limit_tables import limits_table, summary_rows, write_limits, write_summary
     from ._console import console, progress
     from ._runs import PAPER, load_all
 
@@ -85,7 +83,6 @@ def command(
             terminal.print(limits_table(limits))
     if out is not None:
         from ..views.limit_figures import limits_figure, save_figure
-        from ..views.limit_files import write_limits, write_summary
 
         with output_folder(out, "bound") as folder:
             for limits in found:
@@ -96,6 +93,5 @@ def command(
             terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario")
     if as_json:
         from ..models.files import json_text
-        from ..views.limit_files import summary_rows
 
         print(json_text(list(summary_rows(found))))

@@ -1,4 +1,4 @@
-"""`flexspline causes`: what a diagnosis can name."""
+"""`flexspline causes`: causes of differences between a joint and its description."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ EXAMPLES = (
 
 @with_plugins
 def command(as_json: AsJson = False) -> None:
-    """List the causes that a diagnosis can name and a study can hide, by component, with their parameters.
+    """List the causes that a diagnosis can name and a study can hide, with component and parameters.
 
-    Each comes from a file of `models/causes`, which has its law and where that comes from, from an installed package or from
-    a file (`--plugin`).
+    Sources are files of `models/causes`, with the law and its reference, installed packages, and files (`--plugin`).
     """
     from ..models import causes
     from ._listing import Entry, show

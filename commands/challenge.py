@@ -14,7 +14,7 @@ import typer
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ._listing import AsJson
-from ._options import with_plugins
+from ._options import Jobs, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -59,28 +59,28 @@ def command(
         ),
     ] = None,
     real: Annotated[
-        bool, typer.Option("--real", help="every recording has the small imperfections that every real joint has")
+        bool, typer.Option("--real", help="add the small imperfections that every real joint has to every recording")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="of every random stream")] = 1,
-    joint: Annotated[str, typer.Option(help="name of, or path to, the nominal joint")] = "test-joint",
+    joint: Annotated[str, typer.Option(help="name or path of the nominal joint")] = "test-joint",
     scenario: Annotated[
         list[str] | None,
-        typer.Option(help="scenario to measure instead of motions drawn anew (free, push, sweep: 85 s). Repeatable."),
+        typer.Option(help="scenario to measure instead of drawn motions (free, push, sweep: 85 s). Repeatable."),
     ] = None,
     size: Annotated[float, typer.Option(min=0.0, max=_LARGEST_SIZE, help="of the effects, in ordinary sizes")] = 1.0,
     sizes: Annotated[str, typer.Option(help="sizes to scan, e.g. `1,0.3,0.1`, instead of --size")] = "",
     cause: Annotated[list[str] | None, typer.Option(help="draw only from these causes. Repeatable.")] = None,
     exact: Annotated[
-        bool, typer.Option("--exact", help="the joint has exactly its nominal numbers, and diagnosis is told so")
+        bool, typer.Option("--exact", help="the joint has exactly its nominal numbers, and the diagnosis knows it")
     ] = False,
     no_sensor: Annotated[
         bool, typer.Option("--no-sensor", help="no joint torque; irregular 250 Hz with samples missing")
     ] = False,
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="CHANNEL", help="not recorded; what cannot show then is not drawn. Repeatable."),
+        typer.Option(metavar="CHANNEL", help="not recorded; causes that cannot show then are not drawn. Repeatable."),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="processes; all cores by default")] = None,
+    jobs: Jobs = None,
     out: Annotated[
         Path | None, typer.Option(help="write every draw and all tables to this file, .json or .parquet")
     ] = None,
@@ -93,19 +93,17 @@ def command(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Hide effects in simulated joints, diagnose the recordings, and say how often it was right.
+    """Hide effects in simulated joints, diagnose the recordings, and report how often the diagnosis is right.
 
-    Joints are drawn within their tolerances and motions anew; diagnosis sees only recordings and the nominal joint. With
-    `--sizes` and `--scenario` this tells *before* measuring how small an effect a planned experiment would reveal.
+    Joints are drawn within their tolerances, motions are drawn too. The diagnosis sees only recordings and the nominal joint.
+    With `--sizes` and `--scenario` it finds *before* measuring how small an effect a planned experiment would reveal.
     """
     if out is not None:
         if out.suffix not in (".json", ".parquet"):
             raise InputError(f"--out {out}: expected a file .json or .parquet")
         check_output(out.parent, "challenge", writes=[out.name])
     if cause and hidden and set(hidden) == {Hidden.none}:
-        raise InputError(
-            "--cause: expected --hidden one, two or outside beside it, got --hidden none, which hides nothing"
-        )
+        raise InputError("--cause: expected --hidden one, two or outside, got --hidden none, which hides nothing")
     scanned = _sizes(sizes) if sizes else (size,)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # inherited by the processes
@@ -134,9 +132,6 @@ def command(
             right = sum(o.first_right for o in outcomes)
             bar.update(task, advance=1, description=f"diagnosing draws, {right} of {len(outcomes)} right")
     outcomes.sort(key=lambda o: (kinds.index(o.kind), o.index, -o.size))
-    how = f"{joint}, {'known exactly' if exact else 'within tolerance'}{', with real imperfections' if real else ''}"
-    how += f"{', no torque sensor, irregular 250 Hz' if no_sensor else ''}"
-    how += f"{', without ' + ', '.join(without) if without else ''}; seed {seed}"
     if out is not None:
         _write(out, outcomes)
     if as_json:
@@ -144,9 +139,13 @@ def command(
 
         print(json_text(score.report(outcomes)))
         return
-    _show(console(), how, outcomes, scanned)
+    how = f"{joint}, {'known exactly' if exact else 'within tolerance'}{', with real imperfections' if real else ''}"
+    how += f"{', no torque sensor, irregular 250 Hz' if no_sensor else ''}"
+    how += f"{', without ' + ', '.join(without) if without else ''}; seed {seed}"
+    terminal = console()
+    _show(terminal, how, outcomes, scanned)
     if out is not None:
-        console().print(f"{out}", highlight=False)
+        terminal.print(f"{out}")
 
 
 def _record(path: Path, challenge: Challenge) -> None:
@@ -174,109 +173,78 @@ def _sizes(text: str) -> tuple[float, ...]:
 
 
 def _show(terminal: Console, how: str, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
-    from rich.table import Table
-
     from ..diagnosis.trials import score
+    from ._console import print_table
 
-    largest = [o for o in outcomes if o.size == max(sizes)]
-    table = Table(title=how, caption="95 % intervals (Wilson); targets: on real joints")
-    for heading in ("", "result", "target"):
-        table.add_column(heading, justify="left" if not heading else "right")
-    for row in score.rows(largest):
-        value = row.value if isinstance(row.value, score.Rate) else f"{row.value:.1f}"
-        target = f"{100 * row.target:.0f} %" if isinstance(row.value, score.Rate) else f"{row.target:g}"
-        table.add_row(row.name, str(value), f"{'≤' if row.at_most else '≥'} {target}{'' if row.met else '  missed'}")
-    terminal.print(table)
+    rows = []
+    for row in score.rows([o for o in outcomes if o.size == max(sizes)]):
+        rate = isinstance(row.value, score.Rate)
+        target = f"{'≤' if row.at_most else '≥'} {f'{100 * row.target:.0f} %' if rate else f'{row.target:g}'}"
+        value = str(row.value) if rate else f"{row.value:.1f}"
+        rows.append((row.name, value, target + ("" if row.met else "  missed")))
+    caption = "95 % intervals (Wilson); targets: on real joints"
+    print_table(terminal, how, ("", "result", "target"), rows, caption=caption)
     for kind in dict.fromkeys(o.kind for o in outcomes):
-        _show_kind(terminal, kind, [o for o in outcomes if o.kind == kind], sizes)
-    _show_reliability(terminal, outcomes)
+        own = [o for o in outcomes if o.kind == kind]
+        columns = [score.summary([o for o in own if o.size == s]) for s in sizes]
+        heads = ("", *("" if kind == "none" else f"size {s:g}" for s in sizes))
+        cells = [
+            (key, *(_cell(c.get(key, "–")) for c in columns)) for key in dict.fromkeys(k for c in columns for k in c)
+        ]
+        print_table(terminal, f"{_KINDS[kind]} hidden", heads, cells)
+        _show_confusion(terminal, score.confusion(own))
+        if kind == "one":
+            _show_sizes(terminal, own, sizes)
+    reliable = [(f"{a:g}–{b:g}", f"{mean:.2f}", str(share)) for a, b, mean, share in score.reliability(outcomes)]
+    if reliable:
+        title = "reliability: share of the named causes that are present"
+        print_table(terminal, title, ("confidence", "mean", "present"), reliable, 0)
     for o in outcomes:
         if o.failure:
             terminal.print(f"{o.kind}, draw {o.index} at size {o.size:g} failed: {o.failure}", style="red")
 
 
-def _show_kind(terminal: Console, kind: Kind, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
-    """All numbers of one kind of draws, by size."""
-    from rich.table import Table
-
-    from ..diagnosis.trials import score
-
-    table = Table(title=f"{_KINDS[kind]} hidden")
-    table.add_column("")
-    for s in sizes:
-        table.add_column("" if kind == "none" else f"size {s:g}", justify="right")
-    columns = [score.summary([o for o in outcomes if o.size == s]) for s in sizes]
-    for key in dict.fromkeys(k for c in columns for k in c):
-        cells = [c.get(key, "–") for c in columns]
-        table.add_row(key, *(f"{x:.3g}" if isinstance(x, float) else str(x) for x in cells))
-    terminal.print(table)
-    _show_confusion(terminal, score.confusion(outcomes))
-    if kind == "one":
-        _show_sizes(terminal, outcomes, sizes)
+def _cell(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _show_confusion(terminal: Console, confusion: Mapping[str, Any]) -> None:
-    from rich.table import Table
-
     from ..diagnosis.trials.outside import OUTSIDE
+    from ._console import print_table
 
-    table = Table(title="confusion: what was hidden, and what was named first")
-    for heading in ("hidden", "draws", "named rightly", "named otherwise"):
-        table.add_column(heading)
+    rows = []
     for truth, named in confusion.items():
         expected = (
-            {"unknown"} if truth in OUTSIDE else {"consistent"} if truth == "nothing" else set(truth.split(" + "))
+            {"consistent"} if truth == "nothing" else {"unknown"} if truth in OUTSIDE else set(truth.split(" + "))
         )
         other = [f"{name} ×{count}" for name, count in named.most_common() if name not in expected]
         right = sum(count for name, count in named.items() if name in expected)
-        table.add_row(truth, str(sum(named.values())), str(right), ", ".join(other))
-    terminal.print(table)
-
-
-def _show_reliability(terminal: Console, outcomes: Sequence[Outcome]) -> None:
-    """Whether confidence is what it says."""
-    from rich.table import Table
-
-    from ..diagnosis.trials import score
-
-    found = score.reliability(outcomes)
-    if not found:
-        return
-    table = Table(title="confidence: of the causes named, how many are there")
-    for heading in ("confidence", "mean", "there"):
-        table.add_column(heading, justify="right")
-    for low, high, mean, share in found:
-        table.add_row(f"{low:g}–{high:g}", f"{mean:.2f}", str(share))
-    terminal.print(table)
+        rows.append((truth, str(sum(named.values())), str(right), ", ".join(other)))
+    print_table(
+        terminal, "confusion: hidden cause and first named cause", ("hidden", "draws", "right", "other"), rows, 4
+    )
 
 
 def _show_sizes(terminal: Console, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
-    """How small an effect shows: by cause, what was found, and what the Fisher information allows."""
+    """Print by cause how small an effect is found, and how small one the Fisher information allows."""
     import numpy as np
-    from rich.table import Table
 
     from ..diagnosis.trials import score
+    from ._console import print_table
 
     if not any(o.smallest is not None for o in outcomes):
         return
-    table = Table(
-        title="how small an effect this experiment reveals, in ordinary sizes",
-        caption=f"Fisher: {score.DETECTED} standard deviations of the size, calibration free within tolerance",
-    )
-    table.add_column("cause")
-    for s in sizes:
-        table.add_column(f"found at {s:g}", justify="right")
-    table.add_column("9 times in 10", justify="right")
-    table.add_column("Fisher allows", justify="right")
-    names = list(dict.fromkeys(next(iter(o.hidden)) for o in outcomes if o.hidden))
-    for name in [*sorted(names), "all"]:
-        mine = [o for o in outcomes if o.hidden and (name == "all" or next(iter(o.hidden)) == name)]
-        cells = [score.rate([o for o in mine if o.size == s], lambda o: o.first_right) for s in sizes]
+    rows = []
+    for name in [*sorted({next(iter(o.hidden)) for o in outcomes if o.hidden}), "all"]:
+        mine = [o for o in outcomes if o.hidden and name in ("all", next(iter(o.hidden)))]
+        rates = [score.rate([o for o in mine if o.size == s], lambda o: o.first_right) for s in sizes]
         best = score.found_nine_in_ten(mine)
         limit = np.median([o.smallest for o in mine if o.smallest is not None and np.isfinite(o.smallest)] or [np.nan])
         shown = "–" if best is None else f"{best:.2g}" if best > min(sizes) else f"≤ {best:.2g}"
-        table.add_row(name, *(f"{c.right}/{c.of}" for c in cells), shown, f"{limit:.2g}", end_section=name == "all")
-    terminal.print(table)
+        rows.append((name, *(f"{c.right}/{c.of}" for c in rates), shown, f"{limit:.2g}"))
+    heads = ("cause", *(f"found at {s:g}" for s in sizes), "9 times in 10", "Fisher allows")
+    caption = f"Fisher: {score.DETECTED} standard deviations of the size, calibration free within tolerance"
+    print_table(terminal, "smallest detectable effect, in ordinary sizes", heads, rows, caption=caption)
 
 
 def _write(path: Path, outcomes: Sequence[Outcome]) -> None:

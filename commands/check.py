@@ -1,4 +1,4 @@
-"""`flexspline check`: what a measurement holds, and what it can therefore not show."""
+"""`flexspline check`: contents of a measurement, its mistakes, and what it cannot show."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..models.errors import InputWarning
-from ._measurement import parted_measurement
+from ._measurement import load_measurement
 from ._options import MeasurementPath, OtherJoint, with_plugins
 
 if TYPE_CHECKING:
@@ -30,21 +30,8 @@ def command(
     joint: OtherJoint = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
-    """Say what is in a measurement, which mistakes are, what is missing, and what can therefore not be diagnosed."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from ..diagnosis.data.coverage import (
-        INERTIA_RATE,
-        SLOWEST,
-        TORSION_RATE,
-        balances,
-        missing_columns,
-        summarise,
-        too_little,
-        torque_over_current,
-        undetermined,
-    )
+    """Check a measurement: what it contains, mistakes in it, what is missing, and which causes it cannot show."""
+    from ..diagnosis.data import coverage
     from ..diagnosis.data.mistakes import find_mistakes, mended_if_possible
     from ..diagnosis.regression import regressions
     from ..estimator.conditioning import coarser
@@ -52,28 +39,24 @@ def command(
     from ..models.command_lines import mending
     from ..models.files import json_text
     from ..models.memory import give_back_large_arrays
-    from ._console import console
+    from ._console import console, print_table
     from ._mistakes import print_mistakes
 
     give_back_large_arrays()
-    given, described = parted_measurement(measurement, joint)
+    given, described = load_measurement(measurement, joint)
     mistakes = find_mistakes(given, described)
     possible = mended_if_possible(given, described, mistakes)
-    data, mend = (given, "") if possible is None else (possible, mending(given, described))
-    summaries = [summarise(recording, described) for recording in data.recordings]
-    missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described, summaries)
+    data, correction = (given, "") if possible is None else (possible, mending(given, described))
+    summaries = [coverage.summarise(recording, described) for recording in data.recordings]
+    missing, found = coverage.missing_columns(data), coverage.balances(data)
+    reasons = coverage.undetermined(data, described, summaries)
     shows = [name for name in causes.of(described) if name not in reasons]
-    coarse = coarser(data.recordings, described)
-    plain = regressions(data, described)
+    coarse, plain = coarser(data.recordings, described), regressions(data, described)
     for recording in data.recordings:
-        ratio = torque_over_current(recording, described)
+        ratio = coverage.torque_over_current(recording, described)
         if ratio is not None:
-            warnings.warn(
-                f"{recording.name}: motor_torque is {ratio:.3g} times the torque constant that the drive believes in times "
-                "motor_current: one of the three is wrong",
-                InputWarning,
-                stacklevel=2,
-            )
+            text = f"motor_torque is {ratio:.3g} times motor_current times the drive's torque constant: one of them is wrong"
+            warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
     if as_json:
         report = {
             "measurement": given.name,
@@ -91,79 +74,66 @@ def command(
         print(json_text(report))
         return
     terminal = console()
-    print_mistakes(terminal, mistakes, mend)
+    print_mistakes(terminal, mistakes, correction)
     bolted = ", ".join(r.name for r in given.recordings if r.link.locked)
     if bolted:
-        terminal.print(Text(f"{bolted}: bolted to the bench, where mistakes are not looked for"))
-    title = f"{given.name}: {len(summaries)} recording(s) of {described.name}" + (
-        ", as mended" if any(m.sure for m in mistakes) else ""
-    )
-    table = Table(title=Text(title))
-    table.add_column("")
-    for s in summaries:
-        table.add_column(Text(s.name), justify="right")
-    for heading, cells in _rows(data.recordings, summaries):
-        table.add_row(Text(heading), *cells)
-    terminal.print(table)
+        terminal.print(f"{bolted}: bolted to the bench, not checked for mistakes")
+    corrected = ", as corrected" if any(m.sure for m in mistakes) else ""
+    title = f"{given.name}: {len(summaries)} recording(s) of {described.name}{corrected}"
+    print_table(terminal, title, ("", *(s.name for s in summaries)), _rows(data.recordings, summaries))
     for recording, s in zip(data.recordings, summaries, strict=True):
-        if recording.sparse:
-            terminal.print(
-                f"{s.name}: {len(s.gaps)} gaps of more than {recording.gap:.2g} s among {s.samples} samples: what happens in "
-                "them is unknown; record at 50 Hz at least, 250 Hz and more serve"
-            )
-        else:
-            for begin, end in s.gaps:
-                text = f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
-                terminal.print(text)
-        for line in s.done:
-            terminal.print(Text(f"{s.name}: {line}"))
-        if SLOWEST <= 1 / s.interval < TORSION_RATE:
-            unseen = "torsion, friction at a reversal" + (", inertia" if 1 / s.interval < INERTIA_RATE else "")
-            terminal.print(f"{s.name}: {1 / s.interval:.3g} Hz do not show {unseen}")
-        if s.clipped:
-            terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples")
+        for line in _remarks(recording, s):
+            terminal.print(f"{s.name}: {line}")
     for one in coarse:
-        terminal.print(f"{one.text}; a diagnosis takes it as it comes")
+        terminal.print(f"{one.text}; a diagnosis accounts for it")
     if missing:
-        terminal.print(f"not there: {', '.join(missing)}")
+        terminal.print(f"missing: {', '.join(missing)}")
     if any("motor_current" in r and "motor_torque" in r for r in data.recordings):
-        terminal.print("motor_current and motor_torque are both there: the current is read, the torque is not")
+        terminal.print("`motor_current` takes precedence over `motor_torque`")
     for balance in found:
         some = "" if len(balance.recordings) == len(data.recordings) else f" ({', '.join(balance.recordings)})"
-        terminal.print(Text(f"held against each other: {balance.description}{some}"))
+        terminal.print(f"compared: {balance.description}{some}")
     for regression in plain:
-        said = Table(title=Text(f"What a plain regression says of {regression.title}"))
-        for heading in ("shape", f"coefficient [{regression.unit}/…]", "says", "described"):
-            said.add_column(heading)
-        for row in regression.rows:
-            said.add_row(*map(Text, row))
-        terminal.print(said)
+        heads = ("shape", f"coefficient [{regression.unit}/…]", "meaning", "described")
+        print_table(terminal, f"Plain regression of {regression.title}", heads, regression.rows, 4)
         if regression.left_out:
-            terminal.print(f"this motion does not tell apart from the others: {', '.join(regression.left_out)}")
+            terminal.print(f"confounded with others in this motion: {', '.join(regression.left_out)}")
     if not any("link_position" in r and "motor_position" in r for r in data.recordings):
-        terminal.print(
-            "one encoder: torsion cannot be seen, the other side's motion follows from the joint's description"
-        )
+        terminal.print("one encoder: torsion is not measured, the other side's motion follows from the description")
     if shows:
-        swallowed = "unless the joint's tolerances swallow it (flexspline joint show)"
-        terminal.print(f"can be found by channels and motion, {swallowed}: {', '.join(shows)}")
-    elif nothing := too_little(data, described):
-        terminal.print(f"no cause can be found: {nothing}")
-    if not reasons:
-        return
-    cannot = Table(title="What this measurement cannot show")
-    for heading in ("cause", "component", "because"):
-        cannot.add_column(heading)
-    for name, reason in reasons.items():
-        cannot.add_row(name, causes.get(name).component, reason)
-    terminal.print(cannot)
+        masked = "unless masked by the parameter tolerances (flexspline joint show)"
+        terminal.print(f"detectable with these channels and this motion, {masked}: {', '.join(shows)}")
+    elif nothing := coverage.too_little(data, described):
+        terminal.print(f"no cause is detectable: {nothing}")
+    if reasons:
+        rows = [(name, causes.get(name).component, reason) for name, reason in reasons.items()]
+        print_table(terminal, "Not detectable with this measurement", ("cause", "component", "because"), rows, 3)
 
 
-def _rows(recordings: Sequence[Recording], summaries: Sequence[RecordingSummary]) -> Iterator[tuple[str, list[str]]]:
+def _remarks(recording: Recording, s: RecordingSummary) -> Iterator[str]:
+    from ..diagnosis.data.coverage import INERTIA_RATE, SLOWEST, TORSION_RATE
+
+    if recording.sparse:
+        yield (
+            f"{len(s.gaps)} gaps of more than {recording.gap:.2g} s among {s.samples} samples: the motion in them is unknown; "
+            "record at 50 Hz at least, better at 250 Hz or more"
+        )
+    else:
+        for begin, end in s.gaps:
+            yield f"gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
+    yield from s.done
+    if SLOWEST <= 1 / s.interval < TORSION_RATE:
+        unseen = "torsion, friction at a reversal" + (", inertia" if 1 / s.interval < INERTIA_RATE else "")
+        yield f"{1 / s.interval:.3g} Hz do not show {unseen}"
+    if s.clipped:
+        yield f"current at its limit in {100 * s.clipped:.2g} % of the samples"
+
+
+def _rows(recordings: Sequence[Recording], summaries: Sequence[RecordingSummary]) -> Iterator[tuple[str, ...]]:
     from ..models.signals import CHANNELS
 
-    def row(heading: str, text: Callable[[RecordingSummary], str]) -> tuple[str, list[str]]:
-        return heading, [text(s) for s in summaries]
+    def row(heading: str, text: Callable[[RecordingSummary], str]) -> tuple[str, ...]:
+        return heading, *(text(s) for s in summaries)
 
     def extent(name: str) -> Callable[[RecordingSummary], str]:
         return lambda s: f"{s.ranges[name][0]:.4g} … {s.ranges[name][1]:.4g}" if name in s.ranges else "–"
@@ -173,10 +143,10 @@ def _rows(recordings: Sequence[Recording], summaries: Sequence[RecordingSummary]
     yield row("duration [s]", lambda s: f"{s.duration:.2f}")
     yield row("sample rate [Hz]", lambda s: f"{1 / s.interval:.4g}")
     yield row("jitter of the intervals [ms rms]", lambda s: f"{1e3 * s.jitter:.3f}")
-    yield row("time stamps wrong by [ms rms]", lambda s: f"{1e3 * s.late:.2f}" if s.late else "not seen")
+    yield row("error of the time stamps [ms rms]", lambda s: f"{1e3 * s.late:.2f}" if s.late else "not seen")
     yield row("single samples missing", lambda s: f"{s.missing}")
     yield row("gaps", lambda s: f"{len(s.gaps)}")
-    yield row("motion known up to [Hz]", lambda s: f"{s.passband:.3g}")
+    yield row("bandwidth of the motion [Hz]", lambda s: f"{s.passband:.3g}")
     for name, channel in CHANNELS.items():
         if name != "time" and any(name in s.ranges for s in summaries):
             yield row(f"{name} [{channel.unit}]", extent(name))
@@ -185,8 +155,7 @@ def _rows(recordings: Sequence[Recording], summaries: Sequence[RecordingSummary]
     yield row("gear sliding [% of the time]", lambda s: f"{100 * s.sliding:.0f}")
     yield row("reversals", lambda s: f"{s.reversals}")
     yield row("motor travel forward, backward [rev]", lambda s: f"{s.forward / turn:.1f}, {s.backward / turn:.1f}")
-    yield row(
-        "load [N·m]", lambda s: f"{s.load[0]:.3g} … {s.load[1]:.3g}" + ("" if s.load_measured else " (from the drive)")
-    )
-    yield "external torque", [r.external for r in recordings]
+    drive = " (from the drive)"
+    yield row("load [N·m]", lambda s: f"{s.load[0]:.3g} … {s.load[1]:.3g}{'' if s.load_measured else drive}")
+    yield "external torque", *(r.external for r in recordings)
     yield row("current at its limit [%]", lambda s: "–" if s.clipped is None else f"{100 * s.clipped:.2g}")

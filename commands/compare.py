@@ -1,4 +1,4 @@
-"""`flexspline compare`: the filters on identical disturbances, in one table."""
+"""`flexspline compare`: filters on identical disturbances, in one table."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Compare the filters: error, noise, delay, response time, robust share, NIS."""
+    """Compare filters: error, noise, delay, response time, robust share, NIS."""
     from ..models.files import json_text
     from ..models.output import output_folder
     from ._console import console
-    from ._runs import PAPER, metrics_of, run_all, tell
+    from ._runs import PAPER, metrics_of, print_notes, run_all
 
     with output_folder(out, "compare", writes=("comparison.json", "comparison.md")) as folder:
         runs = run_all(scenarios or PAPER, out, seed, changes, figures, recording)
@@ -46,7 +46,5 @@ def command(
         return
     terminal = console()
     terminal.print(comparison_table(metrics))
-    tell(terminal, runs)
-    terminal.print(
-        f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them",
-    )
+    print_notes(terminal, runs)
+    terminal.print(f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings in {out}")

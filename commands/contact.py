@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+import os
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ._listing import AsJson
-from ._options import Changes, shipped, with_plugins
+from ._options import Changes, Jobs, shipped, with_plugins
 
 EXAMPLES = (
     "flexspline contact --hours 0.2 --filter RAREKF --filter augmented",
     "flexspline contact --set sensors=realistic --tolerance 0.2 --out contact",
 )
 DEFAULT = ("augmented", "momentum", "momentum_torsion", "current", "RAREKF", "AREKF", "EKF", "model")
-"""Estimators where none is named: those that take no more than a few microseconds per update, a few of each kind."""
+"""Estimators by default: fast ones, a few of each kind."""
 
 
 @with_plugins
 def command(
     scenario: Annotated[
-        str, typer.Argument(help="Whose motion is drawn: name or path.", autocompletion=shipped("scenarios"))
+        str, typer.Argument(help="Scenario with the motion: name or path.", autocompletion=shipped("scenarios"))
     ] = "collision",
     hours: Annotated[
-        float, typer.Option(min=0.05, max=100.0, help="Without contact; half of them give the thresholds.")
+        float, typer.Option(min=0.05, max=100.0, help="Time without contact; half of it gives the thresholds.")
     ] = 1.0,
     tolerance: Annotated[
         list[float] | None,
@@ -37,9 +39,9 @@ def command(
         typer.Option("--filter", help=f"An estimator by its name; repeatable. By default {', '.join(DEFAULT)}."),
     ] = None,
     rate: Annotated[
-        float, typer.Option(min=0.01, max=3000, help="False alarms per hour at which they are compared.")
+        float, typer.Option(min=0.01, max=3000, help="False alarms per hour at which detectors are compared.")
     ] = 10.0,
-    threads: Annotated[int, typer.Option(min=1, help="Runs at a time; the result does not depend on it.")] = 1,
+    jobs: Jobs = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for contact.json, contact.md, contact.csv (curves), contact.png.")
     ] = None,
@@ -48,8 +50,8 @@ def command(
 ) -> None:
     """Detect collisions by each estimator's external torque: false alarms per hour, delay, smallest push found.
 
-    Thresholds come from runs without contact, false alarms from others of them, delay and the smallest push from runs with drawn
-    pushes. Every run is another joint within tolerance, another motion and another noise.
+    Thresholds come from one half of the runs without contact, false alarms from the other half, delay and smallest push from runs
+    with drawn pushes. Every run has another joint within tolerance, another motion and other noise.
     """
     from ..models import plugins
     from ..models.errors import InputError
@@ -73,15 +75,8 @@ def command(
     with progress() as bar:
         for share in shares:
             task = bar.add_task(f"tolerance ×{share:g}", total=contact.runs_of(loaded, hours))
-            found = contact.assess(
-                loaded,
-                folder,
-                chosen,
-                hours,
-                share,
-                threads,
-                lambda task=task: bar.advance(task),  # type: ignore[misc]
-            )
+            advance, at_once = partial(bar.advance, task), jobs or os.cpu_count() or 1
+            found = contact.assess(loaded, folder, chosen, hours, share, at_once, advance)
             detectors += contact_views.as_data({d.name: contact.at(d, d.threshold(rate)) for d in found}, share)
             curves += [row for one in found for row in contact.curve(one, share)]
     given = {
@@ -103,16 +98,12 @@ def command(
         "detectors": detectors,
     }
     if out is not None:
+        from ..views.limit_figures import save_figure
+
         with output_folder(out, "contact") as new:
             (new / "contact.json").write_text(json_text(answer), encoding="utf-8")
             write_rows(new / "contact.csv", curves)
-            text = "".join(
-                f"## {title}\n\n{contact_views.contact_markdown(own)}\n\n"
-                for title, own in contact_views.titles(answer)
-            )
-            (new / "contact.md").write_text(text, encoding="utf-8")
-            from ..views.limit_figures import save_figure
-
+            (new / "contact.md").write_text(contact_views.contact_markdown(answer), encoding="utf-8")
             save_figure(contact_views.contact_figure(curves, loaded.name), new / "contact.png")
     if as_json:
         print(json_text(answer))

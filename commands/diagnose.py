@@ -1,4 +1,4 @@
-"""`flexspline diagnose`: a measurement and a joint in, the cause out."""
+"""`flexspline diagnose`: why a measurement differs from a joint's description."""
 
 from __future__ import annotations
 
@@ -12,30 +12,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..models import plugins
-from ..models.command_lines import checking, mending
 from ..models.errors import InputError
-from ..models.files import json_text
-from ..models.output import check_output, output_folder
 from ._listing import AsJson
-from ._measurement import parted_measurement
+from ._measurement import load_measurement
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ..diagnosis.answer import Diagnosis, Finding
     from ..diagnosis.data.mistakes import Mistake
-    from ..diagnosis.improvement import Improvement
-    from ..models.joint import Joint
-    from ..models.recording import Measurement
+    from ..views.report import Report
 
 _SEARCHING = 0.7
-"""Share of the time that is left for the search; estimating, planning and writing take the rest."""
-_PLANNED = 3
-"""Proposals of what to measure next that are shown."""
-_REGIONS = 3
-"""Regions that no fit saw that are shown."""
+"""Share of the time for the search; estimation, planning and writing take the rest."""
+_PLANNED, _REGIONS = 3, 3
+"""Proposals and regions that are shown."""
 
 EXAMPLES = (
     "flexspline diagnose measurement --out diagnosis",
@@ -49,7 +40,7 @@ def command(
     out: ResultFolder,
     joint: OtherJoint = None,
     exact: Annotated[
-        bool, typer.Option("--exact", help="take the joint's numbers as exactly known: whatever differs is a cause")
+        bool, typer.Option("--exact", help="take the joint's numbers as exactly known: any difference is a cause")
     ] = False,
     seconds: Annotated[
         float | None, typer.Option("--time", min=0.0, metavar="SECONDS", help="answer with what is known by then")
@@ -57,12 +48,17 @@ def command(
     report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Say what the simulation gets wrong, name the cause, extend the joint, measure what that gains."""
+    """Diagnose why a measurement differs from a joint's description: causes, how grave they are, and what to do.
+
+    Writes `joint.yaml`, the description with the causes in it, `diagnosis.json`, and a report.
+    """
+    from ..models.files import json_text
+    from ..models.output import check_output, output_folder
     from ._console import console, stages
 
     if seconds is not None and not seconds > 0:
         raise InputError(f"--time {seconds:g}: expected more than 0 s")
-    data, described = parted_measurement(measurement, joint)
+    data, described = load_measurement(measurement, joint)
     _check_apart(measurement, out)
     check_output(out, "diagnose", inputs=[*data.files, measurement, described.path], whole=True)
     if exact:
@@ -96,18 +92,19 @@ def command(
             answer = json_text({"format": 1, **found.to_json()})
             (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
             found.extended.write(folder / "joint.yaml")
+            from ..views.report import Report
+
+            shown = Report(data, described, found, gained, found.plan, out)
             if report:
                 from ..views.pages import write_report
-                from ..views.report import Report
                 from ..views.rerun import write_rerun_report
 
-                shown = Report(data, described, found, gained, found.plan, out)
                 write_report(shown, folder / "report.html")
                 write_rerun_report(shown, folder / "report.rrd")
     if as_json:
         print(answer)
         return
-    show(console(), found, gained, data, described, out, report)
+    show(console(), shown, report)
 
 
 def _check_apart(measurement: Path, out: Path) -> None:
@@ -116,80 +113,73 @@ def _check_apart(measurement: Path, out: Path) -> None:
         raise InputError(f"--out {out}: expected a folder that is not in the measurement's, {measurement}")
 
 
-def show(
-    terminal: Console,
-    found: Diagnosis,
-    gained: Improvement | None,
-    measurement: Measurement,
-    joint: Joint,
-    out: Path,
-    report: bool,
-) -> None:
-    """Print the answer: what was found, how sure that is, what it is worth, what to do now; legible in 80 columns."""
-    from ..views.report import further_reasons, look_alikes, plain, verdict_sentence
+def show(terminal: Console, report: Report, written: bool) -> None:
+    """Print the answer in 80 columns: what is wrong, how grave it is, how sure, what to do; then the rest.
 
+    Args:
+      report: to print; written: whether it was written, too.
+    """
+    from ..views.advice import parameter_text
+    from ..views.report import (
+        HELD_OUT,
+        advice_lines,
+        confused_with,
+        further_reasons,
+        gravity_sentence,
+        held_out_rows,
+        plain,
+        share_line,
+        title,
+        verdict_sentence,
+    )  # fmt: skip
+
+    found, gained = report.diagnosis, report.improvement
     page = _Page(terminal)
     page.say(found.verdict, verdict_sentence(found))
+    if found.causes:
+        page.say("", gravity_sentence(found, gained))
     for reason in further_reasons(found):
         page.item(reason)
     if found.mistakes:
         page.heading("Mistakes in the data")
         for m in found.mistakes:
             page.item(f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); {m.remedy}")
-    for heading, findings in (("Causes", found.causes), ("There, but no cause of its own", found.minor)):
+    for heading, findings in (("Causes", found.causes), ("Minor effects", found.minor)):
         if findings:
             page.heading(heading)
-            for finding in findings:
-                _cause(page, finding)
+        for c in findings:
+            page.item(f"{title(c)} ({c.component}): {share_line(c, found)}")
+            lines = [c.description] if c.description else []
+            lines += [f"{name} = {parameter_text(name, c, found.extended)}" for name in c.parameters]
+            for line in (*lines, *(advice_lines(c, found) if heading == "Causes" else ())):
+                page.item(line, "    ")
     if found.residual:
-        page.heading("Error on data that no fit saw, RMS")
-        rows = [
-            (plain(name), f"{r.before:.3g}", f"{r.after:.3g}", f"{r.noise:.2g}", r.unit)
-            for name, r in found.residual.items()
-        ]
-        if gained is not None:
-            noise = f"{gained.noise:.2g}" if gained.noise else "–"
-            rows += [
-                (f"estimate, {plain(name)}", f"{before:.3g}", f"{after:.3g}", noise, "N·m")
-                for name, (before, after) in gained.errors.items()
-            ]
-        page.table(("", "before", "after", "noise", ""), rows)
+        page.heading("RMS error on held-out data")
+        rows = held_out_rows(found, gained)
+        cells = [(name, f"{a:.3g}", f"{b:.3g}", f"{noise:.2g}" if noise else "–", u) for name, a, b, noise, u in rows]
+        page.table(("", *HELD_OUT[1:], ""), cells)
     if found.regions:
-        page.heading("Where the fit has not been, the worst first, RMS")
+        page.heading("RMS error in regions that no fit saw, the worst first")
         regions = [
             (r.name, f"{r.described:.3g}", f"{r.unseen:.3g}", "N·m", "worse than described" if r.worse else "")
             for r in found.regions[:_REGIONS]
         ]
         page.table(("", "described", "extended", "", ""), regions)
     if found.problem is not None:
-        page.heading("What this measurement cannot tell")
-        for name, others in look_alikes(found.confusable):
-            page.item(f"look alike: {plain(name)} and {', '.join(plain(other) for other in others)}")
+        page.heading("What this measurement does not show")
+        for name, others in confused_with(found.confusable):
+            page.item(f"confounded: {name} with {', '.join(others)}")
         if found.undetermined:
             page.item(f"could not have shown: {', '.join(plain(n) for n in found.undetermined)}")
         if not found.confusable and not found.undetermined:
-            page.item("nothing: every known cause would have shown at ordinary size")
+            page.item("every known cause would have shown at ordinary size")
     if found.plan is not None and found.plan.proposals:
         page.heading("What to measure next")
         for number, sentence in enumerate(found.plan.sentences()[:_PLANNED], 1):
             page.item(sentence, f"{number}. ")
     page.heading("What to do now")
-    for line in _commands(found, measurement, joint, out, report):
+    for line in _commands(report, written):
         terminal.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
-
-
-def _cause(page: _Page, c: Finding) -> None:
-    from ..views.report import title
-
-    page.item(
-        f"{title(c)} ({c.component}): {100 * c.confidence:.0f} % sure, explains {100 * c.explains:.0f} %, "
-        f"worth {c.worth:.2g} N·m" + (f" ({c.estimation:.2g} of estimates)" if math.isfinite(c.estimation) else "")
-    )
-    if c.description:
-        page.item(c.description, "    ")
-    for name, p in c.parameters.items():
-        spread = f" ± {p.std:.2g}" if p.std > 0 else ""
-        page.item(f"{name} = {p.value:.4g}{spread} {p.unit}".rstrip(), "    ")
 
 
 def _where(m: Mistake) -> str:
@@ -197,14 +187,18 @@ def _where(m: Mistake) -> str:
     return f"{', '.join(places)}: " if places else ""
 
 
-def _commands(found: Diagnosis, measurement: Measurement, joint: Joint, out: Path, report: bool) -> list[str]:
+def _commands(report: Report, written: bool) -> list[str]:
     """Command lines to go on with, to copy."""
-    measured, folder = shlex.quote(str(measurement.path)), shlex.quote(str(out))
+    from ..models import plugins
+    from ..models.command_lines import checking, mending
+
+    found, measurement = report.diagnosis, report.measurement
+    measured, folder = shlex.quote(str(measurement.path)), shlex.quote(str(report.folder))
     if any(m.severe for m in found.mistakes):
-        return [(mending if found.mendable else checking)(measurement, joint)]
-    lines = [f"flexspline view {folder}"] if report else []
+        return [(mending if found.mendable else checking)(measurement, report.joint)]
+    lines = [f"flexspline view {folder}"] if written else []
     if not found.complete:
-        lines.append("# time was up: the same command with more --time, or without, looks for what is left")
+        lines.append("# the time was up: run it again with more --time, or without, to complete the search")
     if found.problem is not None:
         lines += [
             f"flexspline validate NEW_MEASUREMENT --joint {folder}/joint.yaml --out check{plugins.options()}",
@@ -214,26 +208,26 @@ def _commands(found: Diagnosis, measurement: Measurement, joint: Joint, out: Pat
 
 
 class _Page:
-    """Text on a terminal, wrapped under its headings."""
+    """Text on a terminal, wrapped below its headings."""
 
     def __init__(self, terminal: Console):
         self.terminal = terminal
 
     def say(self, word: str, text: str) -> None:
-        """A paragraph that begins with a word that counts."""
+        """Print a paragraph that begins with a bold word."""
         from rich.text import Text
 
         start = Text(f"{word}: ", style="bold") if word else Text()
         self.terminal.print(start + Text(text), highlight=False)
 
     def heading(self, text: str) -> None:
-        """A heading after an empty line."""
+        """Print a heading after an empty line."""
         from rich.text import Text
 
         self.terminal.print(Text(f"\n{text}", style="bold"), highlight=False)
 
     def item(self, text: str, mark: str = "") -> None:
-        """Text under a heading; its further lines stand under its first word."""
+        """Print a text with its lines aligned below its first word."""
         from rich.table import Table
         from rich.text import Text
 
@@ -244,7 +238,7 @@ class _Page:
         self.terminal.print(grid, highlight=False)
 
     def table(self, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Rows under a heading, the first and the columns without a heading to the left."""
+        """Print rows; the first column and columns without a heading are aligned to the left."""
         from rich.table import Table
         from rich.text import Text
 

@@ -1,4 +1,4 @@
-"""`flexspline estimate`: joint torque and external torque of a measurement, by every estimator."""
+"""`flexspline estimate`: joint torque and external torque of a measurement by every estimator."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError, InputWarning
 from ._listing import AsJson
-from ._measurement import parted_measurement
+from ._measurement import load_measurement
 from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ EXAMPLES = (
 
 _CONTRADICTED = {
     "load_error": "the load is not as described: current and link balance differ by {:.3g} N·m in most of the motion. "
-    "Correct `link` (inertia, gravity_moment) of the recording; until then take no estimator that needs the load.",
+    "Correct `link` (inertia, gravity_moment) of the recording. Until then, do not use estimators that need the load.",
     "torsion_error": "torsion contradicts the current by {:.3g} N·m: an encoder is eccentric, late or slips, or the stiffness "
-    "is wrong. Diagnose the joint; until then take no estimator that needs torsion.",
+    "is wrong. Diagnose the joint. Until then, do not use estimators that need torsion.",
 }
-"""What a recording's notes say of its description, in words."""
+"""Notes on a recording's description, in words."""
 
 
 @with_plugins
@@ -45,11 +45,10 @@ def command(
     filter_: Estimators = None,
     as_json: AsJson = False,
 ) -> None:
-    """Estimate the torques of a measurement without reading its torque sensor; score where there is one.
+    """Estimate the torques of a measurement without reading its torque sensor; compare them with the sensor, if there is one.
 
-    With a joint that says how well it is known (`diagnose` writes such), estimates have 95 % bands: of the estimators that
-    simulate the joint's dynamics only where `--filter` names them. Data with a mistake that makes physics
-    meaningless are refused.
+    With a joint that states its uncertainty (as `diagnose` writes it), estimates have 95 % bands; estimators that simulate the
+    joint's dynamics have bands only if `--filter` names them. Data with a mistake that makes estimates meaningless are refused.
     """
     from ..diagnosis.data.coverage import SLOWEST
     from ..diagnosis.data.mistakes import require_sound
@@ -70,14 +69,14 @@ def command(
     from ._console import console
 
     give_back_large_arrays()
-    data, described = parted_measurement(measurement, joint)
+    data, described = load_measurement(measurement, joint)
     for name in filter_ or ():
         registry.get(name)
     if out.resolve() == data.folder.resolve():
         raise InputError(f"--out {out}: expected another folder than the measurement's")
     maker = made_from("estimate", measurement)
     stems = [recording.name for recording in data.recordings]
-    written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]  # none may be hidden
+    written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
     unread = require_sound(data, described)
     give_back_free_pages()
@@ -131,7 +130,7 @@ def command(
             tables[recording.name] = path, table
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    if as_json:  # nothing is told before the folder is complete
+    if as_json:
         print(text)
         return
     terminal = console()
@@ -146,8 +145,8 @@ def command(
 def _imagined(
     recording: Recording, joint: Joint, found: Estimates, scores: dict[str, dict[str, Score]]
 ) -> dict[str, tuple[str, dict[str, float]]]:
-    """Estimators whose external torque is more than half of the joint torque where there was none: what that joint torque is, and
-    their errors; as a joint torque counts a tenth of the rated one at least."""
+    """Return estimators with a false external torque of more than half of the joint torque, or of 5 % of the rated torque: text
+    with the joint torque, and their errors."""
     import numpy as np
 
     if recording.external != "none" or not found.torque:
@@ -161,21 +160,20 @@ def _imagined(
 
 
 def _left_out(recording: Recording, name: str, why: str) -> InputError:
-    """The error of a named estimator that there is none of for a recording."""
     return InputError(f"{recording.source or recording.name}: filter {name!r}: {why}")
 
 
 def _remarks(
     terminal: Console, name: str, poor: dict[str, tuple[str, dict[str, float]]], report: dict[str, Any]
 ) -> None:
-    """Print what is to be said of a recording's estimates: which are none, what is extrapolated, what is left out."""
+    """Print remarks on a recording's estimates: wrong ones, extrapolated ones, missing ones."""
     from ..models.joint import beyond_sentence
 
     for text, worse in poor.values():
         listed = ", ".join(f"{estimator} {error:.3g}" for estimator, error in worse.items())
         terminal.print(
-            f"{name}: {text}; errors of more than half of that are "
-            f"no estimates: the joint, its load or the sampling is not what these estimators take it for: {listed}",
+            f"{name}: {text}; errors of more than half of that are no estimates. The joint, its load or the sampling is not as "
+            f"described. Estimators: {listed}",
             style="yellow",
         )
     for estimator, why in report["untrusted"].items():
@@ -197,10 +195,8 @@ def _table(name: str, external: str, scores: dict[str, dict[str, Score]], untrus
     from ..views.tables import UNTRUSTED, heading, marked, narrow_table
 
     none = "; there was no external torque" if external == "none" and "external_torque" in scores else ""
-    table = narrow_table(
-        f"{name}: RMS error",
-        f"All of the time, and in motion{none}" + (f";{UNTRUSTED} not to be trusted" if untrusted else ""),
-    )
+    caption = f"Whole recording, and in motion{none}" + (f";{UNTRUSTED} not to be trusted" if untrusted else "")
+    table = narrow_table(f"{name}: RMS error", caption)
     table.add_column("estimator", no_wrap=True)
     for what in scores:
         for words in (what.replace("_", " "), "in motion"):

@@ -13,9 +13,9 @@ EXAMPLES = (
 
 @with_plugins
 def command(as_json: AsJson = False) -> None:
-    """List the estimators and where each comes from: this package, installed packages, files (`--plugin`).
+    """List the estimators of this package, of installed packages and of files (`--plugin`).
 
-    Scenarios, studies and `estimate` take them by these names; causal ones can also feed torque back in the loop.
+    Scenarios, studies and `estimate` use these names. Causal estimators can also feed torque back in the loop.
     """
     from ..estimator import registry
     from ..models.step import PythonStep

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ._listing import AsJson
-from ._measurement import measurement_at, parted_measurement
+from ._measurement import load_measurement, read_measurement_files
 from ._options import with_plugins
 
 if TYPE_CHECKING:
@@ -29,25 +29,23 @@ def command(
     out: Annotated[Path, typer.Option(help="folder of the recordings; with `--to` the file to write")],
     to: Annotated[str | None, typer.Option(help="simulator: mjcf, urdf, mjlab or isaac")] = None,
     measurement: Annotated[
-        Path | None, typer.Option(help="measurement whose motion counts; by default a standard motion is simulated")
+        Path | None, typer.Option(help="measurement with the motion to fit; by default a standard motion is simulated")
     ] = None,
-    into: Annotated[
-        Path | None, typer.Option(help="MJCF or URDF of yours: change one joint's numbers in a copy")
-    ] = None,
+    into: Annotated[Path | None, typer.Option(help="your MJCF or URDF: change one joint's numbers in a copy")] = None,
     hinge: Annotated[
-        str | None, typer.Option(help="name of the joint in the simulator; the joint's own by default")
+        str | None, typer.Option(help="name of the joint in the simulator; by default the joint's name")
     ] = None,
     rigid: Annotated[bool, typer.Option("--rigid", help="one hinge instead of rotor, spring and link (mjcf)")] = False,
     draws: Annotated[int, typer.Option(min=0, help="joints drawn from the uncertainty, written to OUT.draws.json")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Write recordings as MCAP, or a joint for another simulator with what its simpler structure costs.
+    """Write recordings as MCAP, or a joint for another simulator, with the error of its simpler structure.
 
     Without `--to`: a file per recording, ROS 2 messages for Foxglove, PlotJuggler and `ros2 bag`. `flexspline import` reads them
-    back with a mapping of their topics; docs/importing.md has one.
+    back with the mapping of docs/importing.md.
 
-    With `--to`: the numbers are fitted to the joint's own behaviour over the visited motion. See docs/export.md.
+    With `--to`: the numbers are fitted to the joint's behaviour over the motion of the measurement. See docs/export.md.
     """
     if to is None:
         _recordings(Path(source), out, as_json)
@@ -60,7 +58,7 @@ def _recordings(measurement: Path, out: Path, as_json: bool) -> None:
     from ..models.output import check_output, made_from, output_folder
     from ._console import console
 
-    data = measurement_at(measurement)
+    data = read_measurement_files(measurement)
     maker, names = made_from("export", measurement), [f"{recording.name}.mcap" for recording in data.recordings]
     check_output(out, maker, inputs=data.files, writes=names)
     with output_folder(out, maker, inputs=data.files, writes=names) as folder:
@@ -111,7 +109,7 @@ def _joint(
         data, motion = standard_motion(joint), "a simulated standard motion"
     else:
         data, motion = (
-            parted_measurement(measurement, str(path / "joint.yaml") if path.is_dir() else source)[0],
+            load_measurement(measurement, str(path / "joint.yaml") if path.is_dir() else source)[0],
             f"{measurement}",
         )
 

@@ -21,13 +21,13 @@ def command(
     name: Annotated[str, typer.Argument(help="Name of a causal estimator (`flexspline estimators`).")],
     joint: Annotated[str, typer.Option(help="A joint description, or the name of a shipped one.")],
     to: Annotated[str, typer.Option(help="Language: c, which is C99.")] = "c",
-    mounting: Annotated[str | None, typer.Option(help="Mounting of the joint; its own by default.")] = None,
+    mounting: Annotated[str | None, typer.Option(help="Mounting of the joint; by default the joint's.")] = None,
     interval: Annotated[float, typer.Option(help="Time between samples [s].")] = 1e-3,
     out: Annotated[Path | None, typer.Option(help="Header to write; by default NAME.h.")] = None,
 ) -> None:
-    """Write an estimator with a joint's numbers as one C99 header: `init` and `step`, no allocation, no dependency.
+    """Write an estimator with a joint's numbers as one C99 header: `init` and `step`, no allocation.
 
-    The header is generated from the code that runs here. It needs the C library's mathematics alone (`-lm`).
+    The header is generated from the code of this package. It depends on the C mathematics library (`-lm`) only.
     """
     from ..estimator import registry
     from ..estimator.estimator import CausalEstimator, KnownJoint

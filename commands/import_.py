@@ -1,4 +1,4 @@
-"""`flexspline import`: logs in another layout as recordings, and recordings without the mistakes in them."""
+"""`flexspline import`: logs in another layout as recordings, and recordings with mistakes corrected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 from ..models.errors import InputError, InputWarning
 from ._listing import AsJson
-from ._measurement import measurement_at
+from ._measurement import read_measurement_files
 from ._options import with_plugins
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..models.recording import Measurement, Recording
 
 _ENDS = (".parquet", ".yaml", "_arm.xml")
-"""Of the names of a recording's files."""
+"""Ends of the names of a recording's files."""
 EXAMPLES = (
     "flexspline import --propose log.csv",
     "flexspline import mapping.yaml log.csv --out measurement",
@@ -40,30 +40,30 @@ def command(
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="folder that the recordings are written to")] = None,
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the layout's by default")] = None,
+    joint: Annotated[str | None, typer.Option(help="name or path of a joint; by default the layout's")] = None,
     name: Annotated[
-        str | None, typer.Option(help="name of the recording, of a single log; the log's by default")
+        str | None, typer.Option(help="name of the recording of a single log; by default the log's")
     ] = None,
     propose: Annotated[
         bool,
         typer.Option("--propose", help="print a mapping for a log: its columns, their likely quantities and units"),
     ] = False,
-    fix: Annotated[bool, typer.Option("--fix", help="mend the mistakes that `flexspline check` names")] = False,
+    fix: Annotated[bool, typer.Option("--fix", help="correct the mistakes that `flexspline check` finds")] = False,
     force: Annotated[
         bool,
         typer.Option(
             "--force",
-            help="replace recordings of these names that were imported before; YAML that was edited since is kept",
+            help="replace imported recordings with these names; edited YAML files are kept",
         ),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Import logs in another layout as recordings: table and YAML. See docs/importing.md.
 
-    `flexspline import --propose LOG > mapping.yaml` begins such a layout; what is to be filled in says so.
+    `flexspline import --propose LOG > mapping.yaml` makes a draft of such a layout, with marks where values are missing.
 
-    With `--fix`, what people get wrong (units, signs, columns exchanged or late, …) is named and mended; a measurement in this
-    program's own format can be given as well then: `flexspline import MEASUREMENT --fix --out DIR`.
+    With `--fix`, common mistakes (units, signs, columns exchanged or late, …) are found and corrected. This also works for a
+    measurement in this program's format: `flexspline import MEASUREMENT --fix --out DIR`.
     """
     from ..diagnosis.data.mistakes import find_mistakes, fits_no_better, fixed
     from ..models.files import json_text
@@ -88,7 +88,7 @@ def command(
     if not force:
         for file in written:
             if (out / file).exists():
-                raise InputError(f"{out / file}: expected no such file, --force replaces what was imported before")
+                raise InputError(f"{out / file}: expected no such file, --force replaces imported files")
     check_output(out, "import", inputs=inputs, writes=written)
     mistakes: list[Mistake] = []
     described = measurement.load_joint(joint)
@@ -97,7 +97,7 @@ def command(
         mistakes = [m for m in found if m.sure]
         for m in found:
             if not m.sure:
-                warnings.warn(f"{m.where}: not mended: {m.unmended}", InputWarning, stacklevel=2)
+                warnings.warn(f"{m.where}: not corrected: {m.unmended}", InputWarning, stacklevel=2)
         given, measurement = measurement, fixed(measurement, described, mistakes)
         if mistakes and fits_no_better(given, measurement, described):
             changes = ", ".join(f"{m.where}: {m.change}" if m.where else m.change for m in mistakes)
@@ -106,17 +106,17 @@ def command(
                 "nothing was written"
             )
         if not as_json and (mistakes or not found):
-            print_mistakes(terminal, mistakes, mended=True)
-        if any(m.severe for m in mistakes):  # what mends one column may be another's mistake
+            print_mistakes(terminal, mistakes, corrected=True)
+        if any(m.severe for m in mistakes):  # the correction of one column may show a mistake in another
             for m in find_mistakes(measurement, described):
                 if m.severe:
-                    text = f"{m.where}: as mended, {m.description}: look at both columns before you trust either"
+                    text = f"{m.where}: after the correction, {m.description}: check both columns before you use them"
                     warnings.warn(text, InputWarning, stacklevel=2)
     imported: dict[str, dict[str, Any]] = {}
     with output_folder(out, "import", inputs=inputs, writes=written) as folder:
         for recording in measurement.recordings:
-            told = replace(recording, joint=_beside(recording.joint, home, out))
-            path = out / write_recording(told, folder).name
+            written_one = replace(recording, joint=_relative_joint(recording.joint, home, out))
+            path = out / write_recording(written_one, folder).name
             kept = edited(path)
             if kept:
                 _keep(path.with_suffix(".yaml"), folder / path.name)
@@ -140,7 +140,7 @@ def command(
 
 
 def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, Path, list[Path]]:
-    """The recordings, the folder to which a path to their joint is relative, and the files that were read."""
+    """Return the recordings, the folder to which their joint's path is relative, and the files that were read."""
     from ..diagnosis.data.importing import import_recordings, known_layouts, load_layout, unfitting
     from ..models.files import check_name
     from ..models.recording import Measurement
@@ -148,10 +148,10 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
     here = Path()
     if what[0] not in known_layouts() and _is_log(Path(what[0])):
         table = Path(what[0]).suffix in (".csv", ".parquet")
-        beside = f"; or, of a recording, {Path(what[0]).stem}.yaml beside it" if table else ""
+        other = f"; or {Path(what[0]).stem}.yaml next to it, for a recording" if table else ""
         known = ", ".join(known_layouts())
         raise InputError(
-            f"{what[0]}: expected FORMAT before it, one of {known} or a mapping file (YAML){beside}; got a log"
+            f"{what[0]}: expected FORMAT before it, one of {known} or a mapping file (YAML){other}; got a log"
         )
     if len(what) > 1:
         is_layout = not Path(what[0]).is_dir() and not _is_table(what[0])
@@ -175,7 +175,7 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
     else:
         if name is not None:
             raise InputError("--name: expected a log in another layout, got a measurement")
-        read = [measurement_at(path) for path in what]
+        read = [read_measurement_files(path) for path in what]
         found = [replace(r, joint=joint or _joint_of(r, m)) for m in read for r in m.recordings]
         joints = dict.fromkeys(r.joint for r in found)
         if len(joints) > 1:
@@ -187,15 +187,15 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
 
 
 def _joint_of(recording: Recording, measurement: Measurement) -> str:
-    """A recording's joint by its name where it is a shipped one, by its absolute path else."""
+    """Return a recording's joint: the name of a shipped joint, or an absolute path."""
     return recording.joint if _is_shipped(recording.joint) else str((measurement.folder / recording.joint).resolve())
 
 
 def _keep(sidecar: Path, table: Path) -> None:
-    """Let a YAML file that somebody edited stay beside a new table.
+    """Keep an edited YAML file with a new table.
 
     Raises:
-      InputError: they do not fit.
+      InputError: they do not match.
     """
     from ..models.recording import read_recording
 
@@ -204,13 +204,11 @@ def _keep(sidecar: Path, table: Path) -> None:
         read_recording(table)
     except InputError as error:
         text = str(error).replace(str(table.parent), str(sidecar.parent))
-        raise InputError(
-            f"{sidecar}: expected it to fit the new table, as it was edited and is kept; {text}"
-        ) from error
+        raise InputError(f"{sidecar}: expected the edited file to match the new table; {text}") from error
 
 
 def _is_table(path: str) -> bool:
-    """Whether a path is that of a recording: a table, or the YAML file beside one."""
+    """Whether a path is a recording: a table, or its YAML file."""
     found = Path(path)
     return found.is_file() and (
         found.suffix == ".parquet"
@@ -219,7 +217,7 @@ def _is_table(path: str) -> bool:
 
 
 def _is_log(path: Path) -> bool:
-    """Whether a path is that of another program's log: no recording, no folder of them, and no mapping by whatever name."""
+    """Whether a path is another program's log, and not a recording, a folder of recordings, or a mapping."""
     if path.is_dir():  # a bag
         return (path / "metadata.yaml").is_file() and not _has_other_half(path / "metadata.yaml")
     if not path.is_file() or path.suffix in (".yaml", ".yml"):
@@ -233,12 +231,12 @@ def _is_log(path: Path) -> bool:
 
 
 def _stem(log: Path) -> str:
-    """The name of a log's recording: `a` of `a.csv.gz`, too."""
+    """Return the name of a log's recording: `a` of `a.csv.gz`."""
     return log.with_suffix("").stem if log.suffix in (".gz", ".bz2", ".xz") else log.stem
 
 
 def _is_mapping(path: Path) -> bool:
-    """Whether a YAML file is a mapping, which may be called as the log beside it."""
+    """Whether a YAML file is a mapping, which may have the log's name."""
     from ..models.files import read_yaml
 
     if path.suffix == ".csv":
@@ -258,8 +256,8 @@ def _each_once(names: list[str]) -> None:
             raise InputError(f"recording {stem!r}: expected each name once, got it {names.count(stem)} times")
 
 
-def _beside(joint: str, home: Path, out: Path) -> str:
-    """A joint as a recording in `out` names it: a shipped one by its name, a path relative to that folder."""
+def _relative_joint(joint: str, home: Path, out: Path) -> str:
+    """Return a joint for a recording in `out`: the name of a shipped joint, or a path relative to that folder."""
     if _is_shipped(joint):
         return joint
     return Path(os.path.relpath((home / joint).resolve(), out.resolve())).as_posix()

@@ -11,9 +11,9 @@ EXAMPLES = (
 
 
 def command(as_json: AsJson = False) -> None:
-    """List the joints that come with the testbed: what they are, where their numbers come from.
+    """List the joints of this package.
 
-    Every command that takes a joint takes one of these names, or the path of a YAML file.
+    A command that needs a joint takes one of these names, or the path of a YAML file.
     """
     from ..models.joint import known_joints, load_joint
     from ._listing import Entry, show

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._measurement import parted_measurement
+from ._measurement import load_measurement
 from ._options import OtherJoint, with_plugins
 
 _BY = 1.0
-"""Time [s] after which the search begins no further stage: what is open is known once the joint is calibrated."""
+"""Time [s] after which the search begins no further stage: the calibration shows the open questions."""
 
 EXAMPLES = (
     "flexspline plan measurement",
@@ -28,14 +28,14 @@ def command(
     joint: OtherJoint = None,
     as_json: Annotated[bool, typer.Option("--json", help="print it as JSON")] = False,
 ) -> None:
-    """Say what to measure next, and what each experiment is expected to tell: simulated, nothing is moved."""
+    """Find out what to measure next: candidate experiments are simulated, and ranked by their expected information."""
     from ..models.files import json_text
     from ._console import console
 
     diagnosed = (source / "diagnosis.json").is_file()
     if diagnosed and joint is not None:
         raise InputError(
-            f"--joint: expected with a measurement, got it with a diagnosis, {source}, which has its joint"
+            f"--joint: expected with a measurement, got it with the diagnosis {source}, which has its own joint"
         )
     proposals = _of_diagnosis(source) if diagnosed else _of_measurement(source, joint)
     if as_json:
@@ -43,16 +43,16 @@ def command(
         return
     terminal = console()
     if not proposals:
-        terminal.print("no experiment that was looked at would tell more than this measurement does")
+        terminal.print("no candidate experiment adds information")
     for number, one in enumerate(proposals, 1):
         terminal.print(f"{number}. {one['sentence']}")
 
 
 def _of_diagnosis(folder: Path) -> list[dict[str, Any]]:
-    """The proposals that a diagnosis wrote.
+    """Read the proposals of a diagnosis.
 
     Raises:
-      InputError: a file that is none of a diagnosis.
+      InputError: a file that is not a diagnosis.
     """
     from ..models.files import check_format, read_json
 
@@ -69,13 +69,13 @@ def _of_diagnosis(folder: Path) -> list[dict[str, Any]]:
 
 
 def _of_measurement(source: Path, option: str | None) -> list[dict[str, Any]]:
-    """The proposals for a measurement, calibrated and searched as far as a few seconds go."""
+    """Compute the proposals for a measurement, after a diagnosis of a few seconds."""
     from ..diagnosis.diagnose import diagnose
     from ..diagnosis.planning import plan
     from ._console import stages
 
-    data, described = parted_measurement(source, option)
-    with stages(f"looking at {data.name}") as stage:
+    data, described = load_measurement(source, option)
+    with stages(f"diagnosing {data.name}") as stage:
         found = diagnose(data, described, progress=lambda name, done: stage(name, 0.6 * done), seconds=_BY)
         if found.problem is None:
             raise InputError(f"{source}: nothing can be planned: {found.reason}")

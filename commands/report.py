@@ -1,4 +1,4 @@
-"""`flexspline report`: one self-contained page of what a folder holds, to send to a colleague."""
+"""`flexspline report`: one self-contained page of a result, to send to a colleague."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ def command(
             metavar="FOLDER [FOLDER]",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="the page, an HTML file that needs nothing beside it")] = Path(
+    out: Annotated[Path, typer.Option(help="the page, an HTML file without references to others")] = Path(
         "report.html"
     ),
     as_json: AsJson = False,
 ) -> None:
     """Write one self-contained page of a run, a comparison, a diagnosis, a validation, a sweep or contact; or of two diagnoses.
 
-    It starts with what was found, how sure that is and what to do now, and ends with where it comes from. Charts zoom, tell
-    their values and hide their lines; it is made for light and dark, a phone and paper.
+    It begins with the result, its confidence and what to do, and ends with its sources. Charts zoom, show values and hide lines.
+    It is readable in light and dark mode, on a phone and on paper.
     """
     from ..models.files import write_into_place
     from ._console import console
@@ -59,15 +59,11 @@ def command(
 
 
 def _check(out: Path) -> None:
-    """Refuse to replace what this command did not write.
-
-    Raises:
-      InputError: there is another kind of file, or a folder.
-    """
+    """Refuse to replace a file that is not a page of this program, with `InputError`."""
     if out.is_dir():
         raise InputError(f"--out {out}: expected a file, got a folder")
     if not out.parent.is_dir():
-        raise InputError(f"--out {out}: expected a file in a folder that is there, {out.parent} is not")
+        raise InputError(f"--out {out}: expected a file in an existing folder, got {out.parent}")
     if out.exists() and _MARK not in out.read_text(encoding="utf-8", errors="replace")[:2000]:
         raise InputError(f"--out {out}: expected no file, or a page of this program, got another file")
 
@@ -106,7 +102,7 @@ def _page(folders: list[Path]) -> str:
 
 
 def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
-    """Runs of an arm's joints in its order, from the base to the tip."""
+    """Sort the runs of an arm's joints from the base to the tip."""
     from ..scenarios.arms.arm_scenario import load_any
 
     scenario, _ = load_any(arm)
@@ -115,7 +111,7 @@ def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
 
 
 def _diagnosis(folder: Path) -> str:
-    """The page that diagnosing wrote: what it shows was fitted then."""
+    """Return the page that `diagnose` wrote."""
     page = folder / "report.html"
     if not page.is_file():
         raise InputError(f"{page}: expected the page of the diagnosis, found none; diagnose again without --no-report")
@@ -143,7 +139,7 @@ def _sweep(folder: Path) -> str:
 
 
 def _study_of(note: dict[str, Any], folder: Path) -> str:
-    """The study of a sweep as the command line has it from here: a shipped one's name, or a path; empty where nobody knows."""
+    """Return the study of a sweep for a command line from here: a shipped study's name, or a path; empty if unknown."""
     from ..scenarios.studies.study import shipped_studies
 
     source = note.get("source") or note["study"]["name"]

@@ -29,9 +29,9 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recording.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording; of an arm's, those of every joint."""
+    """Run scenarios; write signals, estimates, metrics, figures and a Rerun recording, for an arm of every joint."""
     from ._console import console
-    from ._runs import metrics_of, run_all, tell
+    from ._runs import metrics_of, print_notes, run_all
 
     runs = run_all(scenarios, out, seed, changes, figures, recording)
     if as_json:
@@ -43,6 +43,6 @@ def command(
 
     terminal = console()
     terminal.print(comparison_table({run.name: run.metrics for run, _ in runs}))
-    tell(terminal, runs)
+    print_notes(terminal, runs)
     for _, folder in runs:
         terminal.print(f"{folder}")

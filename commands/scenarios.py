@@ -1,4 +1,4 @@
-"""`flexspline scenarios`: what can be run."""
+"""`flexspline scenarios`: scenarios by name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ EXAMPLES = (
 
 
 def command(as_json: AsJson = False) -> None:
-    """List the scenarios that come with the testbed; commands take one of these names, or the path of a YAML file."""
+    """List the scenarios of this package; commands take one of these names, or the path of a YAML file."""
     from ..scenarios.arms.arm_scenario import load_arm
     from ..scenarios.scenario import load_scenario, shipped_arms, shipped_scenarios
     from ._listing import Entry, show

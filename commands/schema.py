@@ -1,4 +1,4 @@
-"""`flexspline schema`: what the files that people write may hold, for editors."""
+"""`flexspline schema`: JSON Schemas of YAML files, for editors."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ KINDS = {
     "scenario": ("scenarios.scenario", "Scenario", "A scenario"),
     "arm": ("scenarios.arms.arm_scenario", "ArmScenario", "A scenario of joints in series"),
     "study": ("scenarios.studies.study", "Study", "A study"),
-    "recording": ("models.recording", "Sidecar", "The YAML beside a recording's table"),
+    "recording": ("models.recording", "Sidecar", "The YAML file of a recording"),
     "mapping": ("diagnosis.data.importing", "Layout", "A mapping from another program's log"),
 }
-"""Kind of file: module and class of what reads it, and its title."""
+"""Kind of file: module and class that read it, and its title."""
 
 
 @with_plugins
@@ -28,9 +28,9 @@ def command(
     kind: Annotated[str, typer.Argument(help=f"of file: {', '.join(KINDS)}", autocompletion=lambda: list(KINDS))] = "",
     out: Annotated[Path | None, typer.Option(help="folder to write a file of each kind to")] = None,
 ) -> None:
-    """Print the JSON Schema of a kind of YAML file, with which editors complete and check it.
+    """Print the JSON Schema of a kind of YAML file, for completion and checks in editors.
 
-    A first line `# yaml-language-server: $schema=scenario.schema.json` tells an editor which one a file has.
+    The first line `# yaml-language-server: $schema=scenario.schema.json` assigns it to a file.
     """
     from ..models.files import json_text
 
@@ -52,7 +52,7 @@ def command(
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """JSON Schema of a kind of file, of `KINDS`."""
+    """Return the JSON Schema of a kind of file, of `KINDS`."""
     from ..models.schema import json_schema
 
     module, name, title = KINDS[kind]

@@ -1,4 +1,4 @@
-"""`flexspline sensors`: what plugins' sensors read."""
+"""`flexspline sensors`: channels by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ EXAMPLES = ("flexspline sensors", "flexspline sensors --plugin my_sensor.py --js
 
 @with_plugins
 def command(as_json: AsJson = False) -> None:
-    """List the channels that sensors read: those of every joint, and those of plugins (`--plugin`)."""
+    """List the channels of sensors: those of every joint, and those of plugins (`--plugin`)."""
     from ..models import own_sensors
     from ..models.signals import CHANNELS
     from ._listing import Entry, show

@@ -1,4 +1,4 @@
-"""`flexspline studies`: what can be swept."""
+"""`flexspline studies`: studies by name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ EXAMPLES = (
 
 
 def command(as_json: AsJson = False) -> None:
-    """List the studies that come with the testbed; `flexspline sweep` takes one of these names, or the path of a YAML file."""
+    """List the studies of this package; `flexspline sweep` takes one of these names, or the path of a YAML file."""
     from ..scenarios.studies.design import Design
     from ..scenarios.studies.study import load_study, shipped_studies
     from ._listing import Entry, show

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ._listing import AsJson
-from ._options import shipped, with_plugins
+from ._options import Jobs, shipped, with_plugins
+
+if TYPE_CHECKING:
+    from ..scenarios.studies.worst import WorstRun
 
 EXAMPLES = (
     "flexspline sweep noise_and_load --seeds 3 --out sweep",
@@ -25,46 +29,45 @@ def command(
             help="Name of a shipped study, or path of a YAML file.", autocompletion=shipped("scenarios/studies")
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the dataset; one that was begun goes on.")],
-    jobs: Annotated[int | None, typer.Option(min=1, help="threads; all cores by default")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder of the dataset; an unfinished one is continued.")],
+    jobs: Jobs = None,
     scheduler: Annotated[str, typer.Option(help="address of a Dask scheduler, `tcp://…`: compute on its workers")] = "",
     chunk: Annotated[int | None, typer.Option(min=1, help="runs per file; the rows do not depend on it")] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, help="how many seeds, instead of the study's")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="number of seeds, instead of the study's")] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     as_json: AsJson = False,
 ) -> None:
     """Sweep a study: seeds × parameters × scenarios × filters.
 
-    Rows arrive in `OUT/rows` (partitioned Parquet) as they are computed. Interrupted, it goes on where it was when called
-    again; the rows are the same to the bit. At the end: `summary.md` and `summary.csv`, means with 95 % intervals and
-    differences paired over seeds, and figures.
+    Rows are written to `OUT/rows` (partitioned Parquet) while they are computed. An interrupted sweep continues when it is called
+    again; the rows are the same to the bit. At the end it writes `summary.md` and `summary.csv`, means with 95 % intervals and
+    differences paired over seeds, figures, and the worst run of every scenario, to run again.
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # one joint a thread is enough
+        os.environ.setdefault(name, "1")  # one joint per thread
+    from ..models.files import json_text, yaml_text
     from ..models.output import at_end, check_output, output_folder
     from ..scenarios.studies.dataset import Dataset
     from ..scenarios.studies.design import Design
     from ..scenarios.studies.statistics import aggregate, summary_rows, write_csv
     from ..scenarios.studies.study import load_study, shipped_studies
     from ..scenarios.studies.sweep import sweep, versions
-    from ..views.sweep_tables import sweep_markdown, sweep_table
+    from ..scenarios.studies.worst import worst_runs
+    from ..views.sweep_tables import metric_column, sweep_markdown, sweep_table
     from ._console import console, progress
 
     asked, folder = load_study(study)
     if seeds is not None:
         asked = asked.with_seeds(seeds)
-    terminal = console()
     design = Design.of(asked, folder)
-    source = (
-        study if study in shipped_studies() else Path(os.path.relpath(Path(study).resolve(), out.resolve())).as_posix()
-    )
+    source = study if study in shipped_studies() else _relative(Path(study), out)
     dataset = Dataset.open(out, design, versions(), source)
     check_output(out, "sweep", writes=("summary.csv", "summary.md"))
     with progress(counting=True, remaining=True) as bar:
         task = bar.add_task(f"{asked.name}: runs", total=design.runs, completed=dataset.done())
 
         def stopped() -> str:
-            return f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
+            return f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command continues"
 
         with at_end(stopped):
             sweep(
@@ -72,23 +75,43 @@ def command(
                 lambda runs: bar.update(task, advance=runs),
             )  # fmt: skip
         bar.update(task, description=f"{asked.name}: summary", total=None)
-        found = list(aggregate(dataset))
+        found, worst = list(aggregate(dataset)), worst_runs(dataset, asked.metrics[0])
         with output_folder(out, "sweep") as new:
             write_csv(found, design, new / "summary.csv")
             (new / "summary.md").write_text(sweep_markdown(found, asked), encoding="utf-8")
+            for run in worst:
+                if run.again is not None:
+                    (new / "worst").mkdir(exist_ok=True)
+                    text = yaml_text(run.again.model_dump(mode="json", exclude_none=True))
+                    (new / "worst" / f"{run.scenario}.yaml").write_text(text, encoding="utf-8")
             if figures:
                 from ..views.sweep_figures import save_sweep_figures
 
                 save_sweep_figures(found, asked, new / "figures")
     if as_json:
-        from ..models.files import json_text
-
         print(json_text(list(summary_rows(found, design))))
         return
+    terminal = console()
     terminal.print(sweep_table(found, asked, asked.metrics[0]))
     failed = sum(s.failed for s in found)
     if failed:
-        terminal.print(
-            f"{failed} estimates have no measures; `failure` in the rows says why, summary.md where", style="red"
-        )
+        text = f"{failed} estimates have no metrics; `failure` in the rows has the reason, summary.md the place"
+        terminal.print(text, style="red")
+    column = metric_column(asked.metrics[0])
+    for run in worst:
+        text = f"{run.scenario}: largest {column.heading} {column.scale * run.value:.3g} {column.unit} by {run.filter}"
+        terminal.print(f"{text}, seed {run.seed}{_again(run, out)}", soft_wrap=True)
     terminal.print(f"{out / 'summary.md'}, {out / 'summary.csv'}; rows in {out / 'rows'}")
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+
+
+def _again(run: WorstRun, out: Path) -> str:
+    from ..models import plugins
+
+    if run.again is None:
+        return " (its joint is drawn)"
+    place = shlex.quote((out / "worst" / f"{run.scenario}.yaml").as_posix())
+    return f"; again: flexspline run {place}{plugins.options()}"

@@ -1,7 +1,8 @@
-"""`flexspline tune`: every estimator's tuning parameters, found on training seeds, measured on others."""
+"""`flexspline tune`: tuning parameters of estimators, found on training seeds, tested on others."""
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,7 @@ import typer
 
 from ..models.errors import InputError
 from ._listing import AsJson
-from ._options import Changes, Estimators, SomeScenarios, Vary, with_plugins
+from ._options import Changes, Estimators, Jobs, SomeScenarios, Vary, with_plugins
 
 _MOST_SEEDS = 100_000
 
@@ -25,23 +26,23 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder for tuned.yaml, tuned.md and the figure.")],
     scenarios: SomeScenarios = None,
     filter_: Estimators = None,
-    train: Annotated[str, typer.Option(metavar="A-B", help="Seeds that are tuned on.")] = "1-5",
-    test: Annotated[str, typer.Option(metavar="A-B", help="Seeds that are reported.")] = "101-110",
+    train: Annotated[str, typer.Option(metavar="A-B", help="Seeds for tuning.")] = "1-5",
+    test: Annotated[str, typer.Option(metavar="A-B", help="Seeds for the report.")] = "101-110",
     together: Annotated[
-        bool, typer.Option(help="One tuning for all scenarios (geometric mean) instead of one for each.")
+        bool, typer.Option(help="One tuning for all scenarios (geometric mean), instead of one for each.")
     ] = False,
     evaluations: Annotated[
-        int, typer.Option(min=1, help="Settings tried of each filter; a tenth of those that simulate the joint.")
+        int, typer.Option(min=1, help="Settings to try per filter; a tenth for filters that simulate the joint.")
     ] = 300,
     vary: Vary = True,
-    threads: Annotated[int, typer.Option(min=1, help="Runs at a time; the result does not depend on it.")] = 1,
-    pareto: Annotated[bool, typer.Option(help="Sweep noise against delay where a scenario has pushes.")] = True,
+    jobs: Jobs = None,
+    pareto: Annotated[bool, typer.Option(help="Sweep noise against delay if a scenario has pushes.")] = True,
     changes: Changes = None,
     as_json: AsJson = False,
 ) -> None:
     """Tune filters for the RMS error on training seeds, report on test seeds; noise against delay as a curve per filter.
 
-    Writes OUT/tuned.yaml (`filters` can be copied into a scenario; one file per scenario below OUT unless --together).
+    Writes `tuned.yaml`, whose `filters` can be copied into a scenario, per scenario or, with --together, once.
     """
     training, testing = _seeds(train, "--train"), _seeds(test, "--test")
     both = sorted(set(training) & set(testing))
@@ -51,14 +52,15 @@ def command(
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import tuning
     from ..scenarios.filters import estimators
-    from ..views.limit_tables import TUNED_HEADS, markdown, tuned_rows, tuned_table
+    from ..views.limit_tables import TUNED_HEADS, tuned_rows, tuned_table
+    from ..views.tables import markdown_table
     from ._console import console, progress
     from ._runs import PAPER, load_all
 
-    chosen = estimators(filter_ or ())
+    chosen, threads = estimators(filter_ or ()), jobs or os.cpu_count() or 1
     loaded = load_all(scenarios or PAPER, changes)
     groups = [loaded] if together else [[one] for one in loaded]
-    terminal, told = console(), {}
+    terminal, answer = console(), {}
     folders = [out if together or len(groups) == 1 else out / group[0][0].name for group in groups]
     for folder in folders:
         check_output(folder, "tune", writes=("tuned.yaml", "tuned.md", "pareto.png"), within=out)
@@ -76,12 +78,12 @@ def command(
                     fronts.append(tuning.pareto(estimator, pushed, found[-1].tuned, threads=threads))
                 bar.advance(task)
         title = f"{', '.join(names)}: tuned on seeds {train}, tested on {test}"
-        told[", ".join(names)] = tuning.tuned_data(found, names, training, testing)
+        answer[", ".join(names)] = tuning.tuned_data(found, names, training, testing)
         if not as_json:
             terminal.print(tuned_table(found, title))
         with output_folder(folder, "tune", within=out) as new:
             tuning.write_tuned(found, names, training, testing, new / "tuned.yaml")
-            text = f"# {title}\n\n{markdown(TUNED_HEADS, tuned_rows(found))}\n"
+            text = f"# {title}\n\n{markdown_table(TUNED_HEADS, tuned_rows(found))}\n"
             (new / "tuned.md").write_text(text, encoding="utf-8")
             if pushed:
                 from ..views.limit_figures import pareto_figure, save_figure
@@ -90,11 +92,11 @@ def command(
         if not as_json:
             terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}")
     if as_json:
-        print(json_text(told))
+        print(json_text(answer))
 
 
 def _seeds(text: str, option: str) -> list[int]:
-    """Seeds of `A-B`, or of one number."""
+    """Return the seeds of `A-B`, or of one number."""
     first, dash, last = text.partition("-")
     if not all(re.fullmatch("[0-9]{1,18}", part) for part in ([first, last] if dash else [first])) or (
         dash and not 0 <= int(last) - int(first) < _MOST_SEEDS

@@ -1,4 +1,4 @@
-"""`flexspline view`: a run, or a diagnosis, in the Rerun viewer."""
+"""`flexspline view`: runs or a diagnosis in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ._live import ADDRESS, viewer_process
 from ._options import Changes, Seed, shipped, with_plugins
 
 RECORDINGS = ("run.rrd", "report.rrd")
-"""Of a run and of a diagnosis, in their folders."""
+"""File names of a run's and of a diagnosis's recording."""
 _MAGIC = b"RRF"
 
 EXAMPLES = (
@@ -37,7 +37,7 @@ def command(
     folders: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Folder of a run or a diagnosis, or an .rrd recording; or several runs, laid over each other.",
+            help="Folder of a run or a diagnosis, or an .rrd recording; or several runs, to overlay.",
             metavar="[FOLDER…]",
         ),
     ] = None,
@@ -46,7 +46,7 @@ def command(
         typer.Option(
             "--live",
             metavar="SCENARIO",
-            help="Run a scenario, by its name or path, and show it while it runs; nothing is written.",
+            help="Run a scenario (name or path) and show it while it runs; nothing is written.",
             autocompletion=shipped("scenarios"),
         ),
     ] = None,
@@ -58,9 +58,9 @@ def command(
     web: Annotated[bool, typer.Option("--web", help="In the browser, instead of a window.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Open a run, several, or a diagnosis in the Rerun viewer, or a scenario while it runs (`--live`).
+    """Open one or several runs, a diagnosis, or a running scenario (`--live`) in the Rerun viewer.
 
-    The viewer listens on 127.0.0.1 only and sends no usage data. `--live` goes on until its viewer is closed, or Ctrl-C.
+    The viewer listens on 127.0.0.1 only and sends no usage data. `--live` runs until its viewer is closed, or Ctrl-C.
     """
     if (live is None) == (not folders):
         raise InputError(
@@ -76,14 +76,12 @@ def command(
         return
     assert folders is not None
     if as_json:
-        _tell(folders)
+        _print_opened(folders)
     if recording is None:
         raise typer.Exit(_overlaid(folders, web))
     words = viewer_command(recording, web)
     if os.name == "posix":
-        os.execve(
-            words[0], words, viewer_environment()
-        )  # the viewer takes this process's place, so that what ends one ends the other
+        os.execve(words[0], words, viewer_environment())  # the viewer replaces this process
     raise typer.Exit(subprocess.call(words, env=viewer_environment()))
 
 
@@ -112,8 +110,8 @@ def _show_live(name: str, changes: list[str] | None, seed: int | None, speed: fl
         terminal.print(f"{run.name}: {note}", style="yellow")
 
 
-def _tell(folders: list[Path]) -> None:
-    """Say what is opened, for programs; what the viewer says goes to stderr."""
+def _print_opened(folders: list[Path]) -> None:
+    """Print what is opened as JSON; the viewer's output goes to stderr."""
     from ..models.files import json_text
 
     print(json_text({"opened": [str(folder) for folder in folders], "address": ADDRESS}), flush=True)
@@ -122,7 +120,7 @@ def _tell(folders: list[Path]) -> None:
 
 
 def _overlaid(folders: list[Path], web: bool) -> int:
-    """Show several runs on one timeline, from a recording that is there as long as the viewer; its exit code."""
+    """Show several runs on one timeline, from a temporary recording; return the viewer's exit code."""
     with (
         tempfile.TemporaryDirectory(prefix="flexspline-") as folder,
         at_end(partial(shutil.rmtree, folder, ignore_errors=True)),
@@ -133,10 +131,10 @@ def _overlaid(folders: list[Path], web: bool) -> int:
 
 
 def overlay(folders: list[Path], path: Path) -> Path:
-    """Write a recording of several runs' folders; each run is called by what its path has of its own.
+    """Write a recording of several runs' folders, named by folder or by path.
 
     Raises:
-      InputError: a folder that is none of a run, or named twice.
+      InputError: a folder that is not a run, or named twice.
     """
     from ..scenarios.run_folder import load_run
     from ..views.rerun import write_rerun_overlay
@@ -151,12 +149,12 @@ def overlay(folders: list[Path], path: Path) -> Path:
 
 
 def viewer_command(recording: Path | None, web: bool = False, port: int | None = None) -> list[str]:
-    """The command line of a viewer; every port is bound to this computer only.
+    """Return the command line of a viewer; every port is bound to this computer only.
 
     Args:
-      recording: that it opens; None: it waits for data.
+      recording: to open; None: wait for data.
       web: in the browser.
-      port: on which it takes data; any that is free by default.
+      port: for data; by default any free port.
     """
     import rerun_cli
 
@@ -169,15 +167,12 @@ def viewer_command(recording: Path | None, web: bool = False, port: int | None =
 
 
 def viewer_environment() -> dict[str, str]:
-    """This process's environment, with which Rerun collects no usage data, whatever the user's settings of it are.
-
-    By default it does; as on a machine for continuous integration, it collects and sends none.
-    """
+    """Return this process's environment, changed so that Rerun collects no usage data: on CI machines it collects none."""
     return {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"} | {"CI": "1"}
 
 
 def find_recording(run: Path) -> Path:
-    """The Rerun recording in a folder: of a run, of a diagnosis, or the only one; or the recording itself.
+    """Return the Rerun recording in a folder of a run or a diagnosis, the only one in another folder, or the recording itself.
 
     Raises:
       InputError: there is none, or it is not a Rerun recording.
@@ -194,7 +189,7 @@ def find_recording(run: Path) -> Path:
         if len(there) > 1:
             raise InputError(f"{run}: expected one recording, found {', '.join(path.name for path in there)}: name one")
         recording = there[0]
-    if not recording.is_file():  # a pipe, which may never end
+    if not recording.is_file():  # a pipe may never end
         raise InputError(f"{recording}: expected a Rerun recording, got no file")
     try:
         with open(recording, "rb") as file:

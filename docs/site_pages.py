@@ -54,7 +54,7 @@ def commands_page() -> str:
                 continue
             words = f"{folder} {name}".strip()
             loaded = importlib.import_module(".".join(p for p in ("flexspline.commands", folder, module) if p))
-            parts += [f"## {words}", commands._descriptions(folder)[name]]
+            parts += [f"## {words}", commands._load(name, folder).help]
             parts.append("```\n" + "\n".join(loaded.EXAMPLES) + "\n```")
             rows = ["| | |", "|---|---|"]
             for option in commands._load(name, folder).params:

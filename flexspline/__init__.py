@@ -5,12 +5,12 @@
     run = fs.simulate("external_push", duration=20)                     # a scenario in the closed loop
     fs.compare(["link_sweep", "external_push"], ["RAREKF", "dynamics_ekf"])   # estimators on the same signals, a table
     fs.estimate("recording.parquet")                                    # joint torque of a measurement, a table over time
-    fs.diagnose("measurement/").causes                                  # what the description gets wrong
+    fs.diagnose("measurement/").causes                                  # why it differs from the description
     fs.plan("measurement/").sentences()                                 # what to measure next
-    fs.validate("measurement/", joint="extended.yaml")                  # how well a description predicts, nothing fitted
+    fs.validate("measurement/", joint="extended.yaml")                  # how well a description predicts it
 
-SI units throughout; torques [N·m] on the output side. Input that cannot be used raises `InputError`, a `ValueError` whose
-message is one line. Everything is imported when it is first used.
+SI units; torques [N·m] on the output side. Unusable input raises `InputError`, a `ValueError` with one line. Everything is
+imported when it is first used.
 """
 
 from __future__ import annotations
@@ -66,44 +66,19 @@ _ELSEWHERE = {
     "load_joint": "models.joint",
 }
 __all__ = [
-    "ArmScenario",
-    "Attached",
-    "Diagnosis",
-    "Estimator",
-    "FilterDiverged",
-    "InputError",
-    "Joint",
-    "Measurement",
-    "Plan",
-    "Posterior",
-    "Recording",
-    "Run",
-    "Scenario",
-    "Validation",
-    "__version__",
-    "align",
-    "attach",
-    "causes",
-    "compare",
-    "diagnose",
-    "estimate",
-    "estimators",
-    "import_log",
-    "joints",
-    "load_joint",
-    "load_plugin",
-    "load_recording",
-    "plan",
-    "simulate",
-    "simulate_arm",
-    "validate",
-]
+    "ArmScenario", "Attached", "Diagnosis", "Estimator", "FilterDiverged", "InputError", "Joint", "Measurement", "Plan",
+    "Posterior", "Recording", "Run", "Scenario", "Validation", "__version__", "align", "attach", "causes", "compare",
+    "diagnose", "estimate", "estimators", "import_log", "joints", "load_joint", "load_plugin", "load_recording", "plan",
+    "simulate", "simulate_arm", "validate",
+]  # fmt: skip
 _EXPERIMENTS = ("no_load", "link_sweep", "external_push")
 
 
 def __getattr__(name: str) -> Any:
     if name not in _ELSEWHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from .models.errors import nearest
+
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{nearest(name, __all__)}")
     found = getattr(importlib.import_module(f"{__name__}.{_ELSEWHERE[name]}"), name)
     globals()[name] = found
     return found
@@ -152,7 +127,7 @@ else:
 
 
 def load_recording(source: str | Path) -> Recording:
-    """Load a recording: a table (`.parquet`, `.csv`) with a YAML file of its stem, as a robot or `Run.as_recording` wrote it.
+    """Load a recording: a table (`.parquet`, `.csv`) with a YAML file of the same name.
 
     Args:
       source: path of the table or of its YAML file.
@@ -176,8 +151,8 @@ def import_log(
 
     Args:
       layout: name of a shipped mapping (`lara8`, `ur3e`, `ur3e_rtde`), or path of a mapping file.
-      log: path of the log, in any format that is read: CSV, Parquet, JSON, npz, mat, HDF5, xlsx, MCAP, a ROS bag, a folder.
-      joint: name of, or path to, the joint's description; by default the one that the mapping names.
+      log: path of the log: CSV, Parquet, JSON, npz, mat, HDF5, xlsx, MCAP, a ROS bag, or a folder.
+      joint: name or path of the joint's description; by default the one that the mapping names.
       name: of the recording; by default the log's.
 
     Returns:
@@ -186,15 +161,15 @@ def import_log(
     Raises:
       InputError: a mapping or log that is wrong; names file, column and row.
     """
+    from dataclasses import replace
+
     from .diagnosis.data.importing import import_recording, load_layout
     from .models.joint import known_joints
 
     read = import_recording(load_layout(layout), log, name, None if joint is None else str(joint))
-    beside = Path(layout).parent / read.joint
-    if joint is None and read.joint.replace("_", "-") not in known_joints() and beside.is_file():
-        from dataclasses import replace
-
-        return replace(read, joint=str(beside.resolve()))
+    relative = Path(layout).parent / read.joint
+    if joint is None and read.joint.replace("_", "-") not in known_joints() and relative.is_file():
+        return replace(read, joint=str(relative.resolve()))
     return read
 
 
@@ -202,18 +177,18 @@ def simulate(scenario: str | Path | Scenario, seed: int | None = None, **changes
     """Run a scenario: the joint in MuJoCo under its position controller, its sensors, and the scenario's filters.
 
     Args:
-      scenario: name of a shipped one (`no_load`, `link_sweep`, `external_push`, …), path of a YAML file, or a `Scenario`.
+      scenario: name of a shipped scenario (`no_load`, `link_sweep`, `external_push`, …), path of a YAML file, or a `Scenario`.
       seed: of every random stream, instead of the scenario's.
       changes: keys of the scenario with other values, SI: `duration=20` [s], `filters=["RAREKF", "dynamics_ekf"]`,
-        `temperature=40` [°C]; with two underscores for a dot where they lie inside: `controller__kp=6` [A/rad]. `joint` and
-        `known_joint` may be a `Joint`, too.
+        `temperature=40` [°C]. Two underscores replace a dot: `controller__kp=6` [A/rad]. `joint` and `known_joint` may be a
+        `Joint`.
 
     Returns:
-      The run over n control ticks: `run.truth("joint_torque")` and `run.reading("motor_current")`, shape (n,), SI, by name;
+      The run over n control ticks: `run.truth("joint_torque")` and `run.reading("motor_current")`, shape (n,), SI;
       `run.estimates["RAREKF"]`, a `Posterior`; `run.metrics`; `run.as_recording()`.
 
     Raises:
-      InputError: a scenario, joint or key that is wrong; torques under which the motion is no longer finite.
+      InputError: a scenario, joint or key that is wrong; torques with which the motion is no longer finite.
       FilterDiverged: an estimate that is no longer finite.
     """
     from .scenarios.run import run_scenario
@@ -222,46 +197,44 @@ def simulate(scenario: str | Path | Scenario, seed: int | None = None, **changes
 
 
 def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **changes: Any) -> dict[str, Run]:
-    """Run a scenario of joints in series: each under its own controller, with sensors and filters of its own, in one plant.
+    """Run a scenario of joints in series in one plant; each joint has its own controller, sensors and filters.
 
     Args:
-      scenario: name of a shipped one (`two_joints`), path of a YAML file, or an `ArmScenario`.
+      scenario: name of a shipped scenario (`two_joints`), path of a YAML file, or an `ArmScenario`.
       seed: of every random stream, instead of the scenario's.
-      changes: keys of the scenario with other values, SI: `duration=20` [s]; with two underscores for a dot where they lie
-        inside, joints counted from the base: `arm__0__length=0.5` [m], `arm__1__joint=found.extended`.
+      changes: as of `simulate`, joints counted from the base: `arm__0__length=0.5` [m], `arm__1__joint=found.extended`.
 
     Returns:
-      A run of every joint, by its name, from the base to the tip, as of `simulate`. Its recording says of the arm what its motion
-      puts on the joint.
+      A run of every joint by its name, from the base to the tip, as of `simulate`. Its recording includes the load by the other
+      joints' motion.
 
     Raises:
-      InputError: a scenario, joint or key that is wrong; torques under which the motion is no longer finite.
-      FilterDiverged: an estimate that is no longer finite.
+      InputError, FilterDiverged: as `simulate`.
     """
     from .scenarios.arms.arm_run import run_arm
     from .scenarios.arms.arm_scenario import ArmScenario, changed_arm, load_arm
 
-    dotted, at_hand = _changes(changes)
+    dotted, given = _changes(changes)
     if isinstance(scenario, ArmScenario):
         found, folder = changed_arm(scenario, dotted, seed), None
     else:
         found, folder = load_arm(scenario, seed, dotted)
-    return run_arm(found.with_joints(at_hand), folder, threads=_cores())
+    return run_arm(found.with_joints(given), folder, threads=_cores())
 
 
 def attach(spec: mujoco.MjSpec, joint_name: str, joint: str | Path | Joint) -> Attached:
-    """Put a joint's laws on a hinge of a MuJoCo model: torsion, wave generator, friction, kinematic error, all effects.
+    """Add a joint's laws to a hinge of a MuJoCo model: torsion, wave generator, friction, kinematic error, all effects.
 
-    A rotor and a wave generator with their inertias are added to the body that carries the hinge, and an engine plugin acts
-    between them and the link. Actuators on the hinge then turn the rotor through 1/N: their controls, gains and limits keep
-    their meaning at the output. Where there is none, a motor `<joint_name>_motor` with winding is added, whose control is the
-    motor's torque [N·m, motor side]. The hinge's own damping, armature and friction loss are replaced. Keyframes are extended;
-    the integrator becomes `implicitfast` unless it is `implicit`. The joint's mounting is left out: the model's bodies are.
+    A rotor and a wave generator are added to the body that carries the hinge. An engine plugin acts between them and the link.
+    Actuators on the hinge then turn the rotor through 1/N: controls, gains and limits keep their meaning at the output. A hinge
+    without actuator gets a motor `<joint_name>_motor` with winding, whose control is the motor's torque [N·m, motor side]. The
+    hinge's own damping, armature and friction loss are replaced. Keyframes are extended. The integrator becomes `implicitfast`
+    unless it is `implicit`. The joint's mounting is not used: the model has its own bodies.
 
     Args:
-      spec: the model, before it is compiled; changed in place.
-      joint_name: of the hinge; alone on its body.
-      joint: name of a shipped joint, path of a description (such as a diagnosis's `joint.yaml`), or a `Joint`.
+      spec: the model before it is compiled; changed in place.
+      joint_name: of the hinge, which must be the only joint of its body.
+      joint: name of a shipped joint, path of a description, or a `Joint`.
 
     Returns:
       Names in the model: `rotor`, `wave_generator` (joints), `actuators` that turn the rotor.
@@ -276,7 +249,7 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: str | Path | Joint) -> A
 
 
 def align(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Turn the rotors and wave generators of attached joints to where their links are, after a change of `data.qpos`.
+    """Turn the rotors and wave generators of attached joints to their links' positions, after a change of `data.qpos`.
 
     Args:
       model: with attached joints.
@@ -297,21 +270,20 @@ def align(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
 def estimate(
     data: str | Path | Recording | Run, joint: str | Path | Joint | None = None, estimators: Iterable[str] = ()
 ) -> pd.DataFrame:
-    """Joint torque of a recording by estimators that do not read its torque sensor.
+    """Estimate the joint torque of a recording without reading its torque sensor.
 
     Args:
-      data: a recording, or its path; or a run, whose sensors are then read.
-      joint: what the estimators know of the joint; by default the description that the recording names, or what the run's
-        estimators knew.
+      data: a recording or its path; or a run, whose sensors are read.
+      joint: description for the estimators; by default the one that the recording names, or the run's `known_joint`.
       estimators: names; by default all that find their channels in the recording.
 
     Returns:
       A table, n rows: index `time` [s], a column per estimator, joint torque [N·m] as the joint's torque sensor would read it;
-      NaN in parts of less than ten samples between gaps. `attrs["left_out"]` says which estimators are not there, and why.
+      NaN in parts of less than ten samples between gaps. `attrs["left_out"]` gives the missing estimators with the reason.
 
     Raises:
-      InputError: an estimator that there is not, or that is named and lacks a channel; a joint or recording that is wrong; a
-        mistake in the data that makes physics meaningless.
+      InputError: an unknown estimator, or a named one that lacks a channel; a joint or recording that is wrong; a mistake in the
+        data that makes estimates meaningless.
     """
     import pandas as pd
 
@@ -342,18 +314,18 @@ def compare(
     seed: int | None = None,
     **changes: Any,
 ) -> pd.DataFrame:
-    """Estimators on identical signals, in one table of measures.
+    """Compare estimators on identical signals.
 
     Args:
       scenarios: one or several; by default the paper's three experiments.
-      estimators: names; by default the scenarios' own filters, the paper's.
+      estimators: names; by default the scenarios' own filters.
       seed, changes: as of `simulate`.
 
     Returns:
-      A table with index (scenario, filter) and the measures of `scenarios.evaluation.metrics` after the transient: `rms`, `max`
+      A table with index (scenario, filter) and the metrics of `scenarios.evaluation.metrics` after the transient: `rms`, `max`
       and `noise` of the error against the true joint torque, `rms_to_sensor` [N·m], `noise_ratio` to the raw compliance
-      model's [1], `delay_ms` and `response_ms` [ms], of pushes after the truth, `missed` and `robust_share` [1], `mean_nis`
-      [1]; NaN where one is not defined.
+      model's [1], `delay_ms` and `response_ms` [ms], `missed` and `robust_share` [1], `mean_nis` [1]; NaN where one is not
+      defined.
 
     Raises:
       InputError, FilterDiverged: as `simulate`.
@@ -367,12 +339,10 @@ def compare(
 
     several = [scenarios] if isinstance(scenarios, str) or not isinstance(scenarios, Sequence) else list(scenarios)
     named = [estimators] if isinstance(estimators, str) else list(estimators)
-    if named:
-        changes["filters"] = named
-    asked = [_scenario(one, seed, changes) for one in several]
+    asked = [_scenario(one, seed, changes | ({"filters": named} if named else {})) for one in several]
     names = [scenario.name for scenario, _ in asked]
-    for i, name in enumerate(names):
-        if name in names[:i]:
+    for name in names:
+        if names.count(name) > 1:
             raise InputError(f"scenario {name}: expected each scenario once, got it twice")
     with ThreadPoolExecutor(_cores()) as pool:
         runs = list(pool.map(lambda one: run_scenario(*one), asked))
@@ -383,68 +353,57 @@ def compare(
 
 
 def diagnose(
-    measurement: Measured,
-    joint: str | Path | Joint | None = None,
-    seconds: float = float("inf"),
+    measurement: Measured, joint: str | Path | Joint | None = None, seconds: float = float("inf")
 ) -> Diagnosis:
-    """What a joint's description gets wrong about a measurement, and why.
+    """Diagnose why a measurement differs from a joint's description.
 
     Args:
-      measurement: a recording or a folder of several taken on the same joint, or its path; or a run, whose sensors are then
-        read, or several.
-      joint: its description; by default the one that the recordings name, or what the run's estimators knew.
-      seconds: after which no further stage begins: the answer is the best by then [s].
+      measurement: a recording or a folder of several of the same joint, or its path; or one or several runs.
+      joint: description; by default the one that the recordings name, or the run's `known_joint`.
+      seconds: time after which no further stage begins [s].
 
     Returns:
-      The diagnosis: `verdict`; `causes` with parameters, their standard deviations and confidence; what was calibrated,
-      cannot be told apart, could not have shown; residuals before and after; `extended`, the joint with the causes in it.
+      The diagnosis: `verdict`; `causes` with parameters, standard deviations and confidence; `calibration`; `confusable` and
+      `undetermined` causes; residuals before and after; `extended`, the joint with the causes in it.
 
     Raises:
       InputError: a measurement or joint that is wrong; names file, column and row.
     """
     from .diagnosis.diagnose import diagnose as diagnose_measurement
 
-    return diagnose_measurement(*_parted(measurement, joint), seconds=seconds)
+    return diagnose_measurement(*_with_gaps(measurement, joint), seconds=seconds)
 
 
-def plan(
-    measurement: Measured,
-    joint: str | Path | Joint | None = None,
-    diagnosis: Diagnosis | None = None,
-) -> Plan:
-    """What to measure next: experiments that are simulated, and what each would tell about what a measurement left open.
+def plan(measurement: Measured, joint: str | Path | Joint | None = None, diagnosis: Diagnosis | None = None) -> Plan:
+    """Find out what to measure next: candidate experiments are simulated, and their information on open questions computed.
 
     Args:
-      measurement: a recording or a folder of several taken on the same joint, or its path; or a run, whose sensors are then
-        read, or several.
-      joint: its description; by default the one that the recordings name, or what the run's estimators knew.
-      diagnosis: of that measurement with that joint; made here where it is not given.
+      measurement, joint: as of `diagnose`.
+      diagnosis: of that measurement with that joint; computed here if it is not given.
 
     Returns:
-      The plan: `questions` that are open; `proposals`, the one that answers most first; `sentences()` for people.
+      The plan: open `questions`; `proposals`, the most informative first; `sentences()` for people.
 
     Raises:
-      InputError: a measurement or joint that is wrong; names file, column and row.
+      InputError: as `diagnose`.
     """
     from .diagnosis.planning import plan as plan_measurement
 
-    data, described = _parted(measurement, joint)
+    data, described = _with_gaps(measurement, joint)
     return plan_measurement(data, diagnosis if diagnosis is not None else diagnose(data, described))
 
 
 def validate(measurement: Measured, joint: str | Path | Joint | None = None) -> Validation:
-    """How well a joint's description predicts a measurement. Nothing is fitted.
+    """Compare a measurement with the prediction of a joint's description; nothing is fitted.
 
     Args:
-      measurement: a recording or a folder of several taken on the same joint, or its path; or a run, whose sensors are then
-        read, or several.
-      joint: its description; by default the one that the recordings name, or what the run's estimators knew.
+      measurement, joint: as of `diagnose`.
 
     Returns:
-      Residuals of every channel in its unit: rms and the sensor's noise, and by region of angle, speed, load and direction.
+      Errors of every channel in its unit: RMS, and the sensor's noise; also by region of angle, speed, load and direction.
 
     Raises:
-      InputError: a measurement or joint that is wrong; names file, column and row.
+      InputError: as `diagnose`.
     """
     from .diagnosis.validate import validate as validate_measurement
 
@@ -452,17 +411,15 @@ def validate(measurement: Measured, joint: str | Path | Joint | None = None) -> 
 
 
 def estimators() -> pd.DataFrame:
-    """The estimators that there are: this package's, and those of installed packages and of files (`load_plugin`).
+    """List the estimators: this package's, and those of installed packages and of files (`load_plugin`).
 
     Returns:
-      A table with index `estimator`: `causal` (whether it can run in the loop), `needs` (channels it reads), `tuning` (what may
-      be tuned), `description` with where its law comes from, `source`: package or file.
+      A table with index `estimator`: `causal` (whether it can run in the loop), `needs` (channels), `tuning` (parameters),
+      `description`, `source` (package or file).
 
     Raises:
-      InputError: one of a plugin that cannot be loaded.
+      InputError: an estimator of a plugin that cannot be loaded.
     """
-    import pandas as pd
-
     from .estimator import registry
 
     rows = {}
@@ -475,21 +432,19 @@ def estimators() -> pd.DataFrame:
             "description": one.description,
             "source": registry.origin(name).name,
         }
-    return _table(pd, rows, "estimator")
+    return _table(rows, "estimator")
 
 
 def causes() -> pd.DataFrame:
-    """The causes that a diagnosis can name (`models.causes`): this package's, and those of installed packages and of files.
+    """List the causes that a diagnosis can name: this package's, and those of installed packages and of files.
 
     Returns:
       A table with index `cause`: `component` (motor, transmission, link, sensor), `parameters` with units, `description`,
-      `source`: package or file.
+      `source` (package or file).
 
     Raises:
-      InputError: one of a plugin that cannot be loaded.
+      InputError: a cause of a plugin that cannot be loaded.
     """
-    import pandas as pd
-
     from .models import causes as library
 
     rows = {}
@@ -501,13 +456,13 @@ def causes() -> pd.DataFrame:
             "description": one.description,
             "source": library.origin(name).name,
         }
-    return _table(pd, rows, "cause")
+    return _table(rows, "cause")
 
 
 def load_plugin(path: str | Path) -> tuple[str, ...]:
-    """Make a file's own estimators and causes known by their names, for this process and those that it begins.
+    """Register a file's estimators and causes, for this process and its child processes.
 
-    What installed packages offer by entry points (`flexspline.estimators`, `flexspline.causes`) is known without.
+    Those of installed packages (entry points `flexspline.estimators`, `flexspline.causes`) are registered by themselves.
 
     Args:
       path: of a Python file with a tuple `ESTIMATORS`, `CAUSES` or both.
@@ -516,7 +471,7 @@ def load_plugin(path: str | Path) -> tuple[str, ...]:
       Their names.
 
     Raises:
-      InputError: no such file, one that cannot be imported, that has neither, or a name that there is already.
+      InputError: a file that is missing, cannot be imported or defines neither; a name that exists already.
     """
     from .estimator import registry
     from .models import plugins
@@ -531,7 +486,7 @@ def load_plugin(path: str | Path) -> tuple[str, ...]:
 
 
 def joints() -> pd.DataFrame:
-    """The joints that the package ships.
+    """List the joints that the package ships.
 
     Returns:
       A table with index `joint`: `ratio` of the gear [1], `rated_torque` [N·m], `mountings`, `description`, `path` of its file.
@@ -539,8 +494,6 @@ def joints() -> pd.DataFrame:
     Raises:
       InputError: a shipped description that is wrong.
     """
-    import pandas as pd
-
     from .models.joint import known_joints, load_joint
 
     rows = {}
@@ -553,13 +506,13 @@ def joints() -> pd.DataFrame:
             "description": " ".join(one.description.split()),
             "path": str(path),
         }
-    return _table(pd, rows, "joint")
+    return _table(rows, "joint")
 
 
-def _table(pandas: Any, rows: Mapping[str, Mapping[str, Any]], index: str) -> pd.DataFrame:
-    table = pandas.DataFrame.from_dict(rows, orient="index")
-    table.index.name = index
-    return table
+def _table(rows: dict[str, dict[str, Any]], index: str) -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis(index)
 
 
 def _cores() -> int:
@@ -576,44 +529,44 @@ def _scenario(
     from .scenarios.scenario import Scenario, changed, load_scenario
 
     found, folder = (source, None) if isinstance(source, Scenario) else load_scenario(source)
-    dotted, at_hand = _changes(changes)
+    dotted, given = _changes(changes)
     if seed is not None:
         dotted["seed"] = seed
     if not dotted:
         return found, folder
-    kept = {key: one for key, one in found.joints_at_hand.items() if key not in dotted}
-    return parse(changed(found, dotted), Scenario, f"scenario {found.name}").with_joints(kept | at_hand), folder
+    kept = {key: one for key, one in found.given_joints.items() if key not in dotted}
+    return parse(changed(found, dotted), Scenario, f"scenario {found.name}").with_joints(kept | given), folder
 
 
 def _changes(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Joint]]:
-    """Changes by dotted key, and the joints among them: a scenario's file would have their names."""
+    """Changes by dotted key, with names in place of `Joint` objects; and these objects."""
     from .models.joint import Joint
 
     dotted = {key.replace("__", "."): value for key, value in given.items()}
-    at_hand = {
+    joints = {
         key: value
         for key, value in dotted.items()
         if isinstance(value, Joint) and key.rpartition(".")[2] in ("joint", "known_joint")
     }
-    return dotted | {key: one.name for key, one in at_hand.items()}, at_hand
+    return dotted | {key: one.name for key, one in joints.items()}, joints
 
 
-def _parted(given: Measured, joint: str | Path | Joint | None) -> tuple[Measurement, Joint]:
-    """The same with gaps where samples are missing that the time does not show."""
+def _with_gaps(given: Measured, joint: str | Path | Joint | None) -> tuple[Measurement, Joint]:
+    """A measurement, split where samples are missing, and its joint; a warning for each split."""
     import warnings
 
     from .diagnosis.data.samples import parted
     from .models.errors import InputWarning
 
     data, described = _measured(given, joint)
-    data, said = parted(data, described)
-    for text in said:
+    data, messages = parted(data, described)
+    for text in messages:
         warnings.warn(text, InputWarning, stacklevel=3)
     return data, described
 
 
 def _measured(given: Measured, joint: str | Path | Joint | None) -> tuple[Measurement, Joint]:
-    """Recordings, and the description that they are held against."""
+    """A measurement, and the description to compare it with."""
     from .models.errors import InputError
     from .models.joint import Joint
     from .models.recording import Measurement, Recording, read_measurement

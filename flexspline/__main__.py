@@ -11,18 +11,18 @@ import threading
 from contextlib import suppress
 
 _COLLECT_AFTER = 250_000
-"""Objects after which Python first looks for ones that only refer to each other. What a command imports are 170,000 that stay;
-by its own measure Python would look 240 times meanwhile, a third of a second."""
-_PATIENCE = 0.5  # s, for a thread that is about to end
+"""Objects before the first garbage collection. Imports make 170,000 that stay; by default Python would collect 240 times, for a
+third of a second."""
+_PATIENCE = 0.5  # s, for the end of a thread
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends it without a traceback also while it is still being loaded."""
+    """Run the command line; Ctrl-C ends it without a traceback, also during imports."""
     with suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    _open_what_is_closed()
+    _open_closed_streams()
     gc.set_threshold(_COLLECT_AFTER)
-    os.environ.setdefault("MUJOCO_GL", "off")  # nothing is rendered, and looking for OpenGL takes a tenth of a second
+    os.environ.setdefault("MUJOCO_GL", "off")  # nothing is rendered; the search for OpenGL takes 0.1 s
     from .commands import main as run
 
     try:
@@ -33,9 +33,8 @@ def main() -> None:
     _end(0)
 
 
-def _open_what_is_closed() -> None:
-    """Let streams that the caller has closed lead nowhere: the next file to be opened would take their numbers, and with them
-    what is printed."""
+def _open_closed_streams() -> None:
+    """Redirect streams that the caller has closed: otherwise the next opened file would get their numbers, and the output."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is not None:
             continue
@@ -50,9 +49,9 @@ def _open_what_is_closed() -> None:
 
 
 def _end(code: object) -> None:
-    """End at once, as Python would after half a second: taking apart what is loaded, object by object, helps nobody.
+    """Exit without the half second that Python needs to delete its objects.
 
-    Returns where that is not for here to do: a thread is still running, output cannot be written, or there is something to say.
+    Returns without exit if a thread is still running, output cannot be written, or there is a message.
     """
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and not thread.daemon:

@@ -1,4 +1,4 @@
-"""A scenario made ready to run: the joint read in, commands worked out; simulated with any seed, estimated by any estimator."""
+"""A scenario prepared for simulation with any seed and estimation by any estimator."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ _SEEN = tuple(name for name in SENSED if not CHANNELS[name].at_step)
 
 @dataclass(frozen=True)
 class Experiment:
-    """A scenario made ready: everything that does not depend on seed or estimators, to run it many times.
+    """A prepared scenario: everything that does not depend on seed or estimators.
 
     Attributes:
-      scenario: what to run.
+      scenario: to run.
       joint, known_joint: the plant's joint, and the one that the estimators know.
-      mounting: what is bolted to the plant's output.
+      mounting: payload of the plant.
       record: parameters of the plant, shape (1,).
-      known: what the estimators know.
+      known: parameters that the estimators know.
       position, velocity, external_torque, temperature: commands [rad], [rad/s], torque on the link [N·m], temperature [°C],
-        shape (n,). tip_force: tangential force [N] that the external torque comes from, shape (n,).
-      fed_back: the estimator whose torque is fed back; None: the sensor's, or none.
+        shape (n,). tip_force: tangential force [N] of the external torque, shape (n,).
+      fed_back: the estimator whose torque is fed back, if any.
     """
 
     scenario: Scenario
@@ -60,16 +60,16 @@ class Experiment:
 
     @classmethod
     def of(cls, scenario: Scenario, folder: Path | None = None, load: float | None = None) -> Experiment:
-        """Read the joint and work out the commands.
+        """Load the joint and compute the commands.
 
         Args:
-          scenario: what to run.
-          folder: of the scenario's file, where a joint that it names by a relative path lies.
-          load: gravity moment [N·m] at horizontal of what is bolted on, which the estimators know too, instead of the
-            mounting's; the inertia changes in proportion.
+          scenario: to run.
+          folder: of the scenario's file, to which the joint's path is relative.
+          load: gravity moment [N·m] of the payload at horizontal, known to the estimators, instead of the mounting's; the inertia
+            changes in proportion.
 
         Raises:
-          InputError: a joint or mounting that does not exist, or one without a gravity moment to change.
+          InputError: an unknown joint or mounting, or a mounting without a gravity moment to change.
         """
         joint, known_joint = scenario.load_joint(folder)
         mounting, known_mounting = (scenario.mount(j) for j in (joint, known_joint))
@@ -82,7 +82,7 @@ class Experiment:
         )  # fmt: skip
 
     def build(self, record: np.ndarray | None = None) -> mujoco.MjModel:
-        """The MuJoCo model of the plant, or of another plant, with effects hidden in its record."""
+        """Build the MuJoCo model of the plant, or of one with other parameters."""
         return plant.build(
             self.joint,
             self.mounting,
@@ -94,14 +94,14 @@ class Experiment:
     def simulate(
         self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
     ) -> Simulation:
-        """Run the closed loop; to the bit the same whoever else runs at the time.
+        """Run the closed loop; parallel runs do not change a bit of the result.
 
         Args:
           seed: of the sensors' noise; the scenario's by default.
-          record, model: of another plant than the joint's own, both or none (`build`).
+          record, model: of another plant, both or none (`build`).
 
         Raises:
-          InputError: torques under which the motion is no longer finite.
+          InputError: torques with which the motion is no longer finite.
           FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
         """
         loop = self.closed_loop(seed, record, model)
@@ -112,16 +112,16 @@ class Experiment:
     def closed_loop(
         self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
     ) -> ClosedLoop:
-        """The closed loop before its first tick; arguments as of `simulate`."""
+        """Return the closed loop before its first tick; arguments as of `simulate`."""
         record = self.record if record is None else record
         return ClosedLoop(self.build(record) if model is None else model, (self.driven(seed, record),))
 
     def driven(self, seed: int | None = None, record: np.ndarray | None = None, prefix: str = "") -> Driven:
-        """How its joint is driven and read in a closed loop.
+        """Return drive, sensors and disturbances of the joint for a closed loop.
 
         Args:
           seed, record: as of `simulate`.
-          prefix: of the joint's names in a model of several.
+          prefix: of the joint's names in a model of several joints.
         """
         scenario, record = self.scenario, self.record if record is None else record
         p, seed = record[0], scenario.seed if seed is None else seed
@@ -146,10 +146,10 @@ class Experiment:
         )
 
     def check(self, loop: ClosedLoop, begin: int = 0, place: int = 0) -> None:
-        """Look at what the loop has simulated, from a tick on; `place`: of the joint among the loop's.
+        """Check the simulated ticks from `begin` on; `place`: index of the joint in the loop.
 
         Raises:
-          InputError: torques under which the motion is no longer finite.
+          InputError: torques with which the motion is no longer finite.
           FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
         """
         simulation = loop.simulations[place]
@@ -157,11 +157,11 @@ class Experiment:
         overloaded = _overload(simulation, begin, loop.done)
         if overloaded is not None:
             raise InputError(
-                f"scenario {self.scenario.name}: from {overloaded:.3f} s on the motion is not finite: expected torques and "
-                "motions that the joint can bear, got a load beyond the wave generator's compliance, Eq. (5)"
+                f"scenario {self.scenario.name}: from {overloaded:.3f} s on the motion is not finite: expected torques that the "
+                "joint can bear, got a load beyond the wave generator's compliance, Eq. (5)"
             )
         if tick < len(simulation.time):
-            if self.fed_back is not None and tick > 0:  # over the signals until then it says why
+            if self.fed_back is not None and tick > 0:  # this raises with the reason
                 self.fed_back.estimate(signals_of(simulation).part(slice(0, tick + 1)), self.known)
             raise FilterDiverged(
                 self.scenario.feedback,
@@ -171,7 +171,7 @@ class Experiment:
             )
 
     def with_own_sensors(self, simulation: Simulation, seed: int | None = None) -> Simulation:
-        """The same with what sensors of plugins read, which follows from the whole of it; `seed`: as of `simulate`."""
+        """Add the readings of plugins' sensors; `seed`: as of `simulate`."""
         if not own_sensors.names():
             return simulation
         truth = {name: np.ascontiguousarray(simulation.truth[name]) for name in simulation.truth.dtype.names or ()}
@@ -183,7 +183,7 @@ class Experiment:
         return replace(simulation, further=own)
 
     def _known_to_the_drive(self, p: np.void) -> np.void:
-        """What the drive's controller goes by: ratio and limit of the plant, torque constant and weight as they are known."""
+        """Parameters of the drive's controller: ratio and limit of the plant, everything else as the estimators know it."""
         record = self.known.record.copy()
         for name in ("N", "current_limit"):
             record[0][name] = p[name]
@@ -191,13 +191,13 @@ class Experiment:
 
 
 def signals_of(simulation: Simulation) -> Signals:
-    """What an estimator may read of a simulation: sensors that are read before the drive acts, and the current command where it
-    is told that; at their time stamps."""
+    """Return the signals that an estimator may read: sensors before the drive acts, and the current command if it is known; at
+    their time stamps."""
     return Signals(simulation.time if simulation.stamps is None else simulation.stamps, readable(simulation))
 
 
 def readable(simulation: Simulation) -> dict[str, np.ndarray]:
-    """The channels of `signals_of`, shape (n,) each: views of what the simulation fills."""
+    """Return the channels of `signals_of`, shape (n,) each, as views of the simulation's arrays."""
     columns = {name: simulation.readings[name] for name in _SEEN} | dict(simulation.further)
     if simulation.commanded:
         columns["current_command"] = simulation.command
@@ -207,16 +207,16 @@ def readable(simulation: Simulation) -> dict[str, np.ndarray]:
 def estimate(
     estimators: Mapping[str, Estimator], signals: Signals, known: KnownJoint, threads: int = 1
 ) -> dict[str, Posterior]:
-    """What every estimator says of signals, by name; to the bit the same for any number of threads.
+    """Run estimators over signals; the number of threads does not change a bit of the result.
 
-    One that diverges leaves the others as they are: it has no estimate at any sample (NaN), and a warning says why.
+    An estimator that diverges has no estimate at any sample (NaN), and a warning gives the reason.
 
     Args:
-      estimators: by name. signals: channels. known: of the joint.
-      threads: estimators at a time; compiled ones hold no lock.
+      estimators: by name. signals: channels. known: parameters of the joint.
+      threads: estimators at a time.
 
     Raises:
-      InputError: a channel that is missing. FilterDiverged: no estimate is finite; names filter and time of the first.
+      InputError: a missing channel. FilterDiverged: no estimator has a finite estimate; names the first filter and its time.
     """
 
     def one(name: str) -> Posterior | FilterDiverged:
@@ -247,8 +247,7 @@ def _loaded(mounting: Mounting, load: float) -> Mounting:
 
 
 def _overload(simulation: Simulation, begin: int, end: int) -> float | None:
-    """When [s], in ticks from `begin` to `end`, the plant's motion stopped being one: not finite, or faster than anything
-    that turns."""
+    """Return the time [s] in ticks from `begin` to `end` from which the motion is not finite or impossibly fast; None if none."""
     first = max(begin - 1, 0)
     truth = simulation.truth[first:end]
     broken = np.zeros(min(end + 1, len(simulation.time)) - first, dtype=bool)
@@ -256,6 +255,6 @@ def _overload(simulation: Simulation, begin: int, end: int) -> float | None:
         broken[: len(truth)] |= ~np.isfinite(truth[name])
     for name in ("motor_position", "wave_generator_position", "link_position"):
         broken[1 : len(truth)] |= ~(np.abs(np.diff(truth[name])) < _FASTEST * CONTROL_PERIOD)
-    for name in _SEEN:  # an estimate that is fed back fails with the readings, before there is a truth beside them
+    for name in _SEEN:  # a fed-back estimate fails with the readings, before the truth of that tick
         broken |= ~np.isfinite(simulation.readings[name][first : first + len(broken)])
     return float(simulation.time[first + np.argmax(broken)]) if np.any(broken) else None

@@ -1,7 +1,7 @@
-"""The entries of a scenario's `filters`: any estimator of the registry, under a name of its own, with tuning parameters.
+"""The entries of a scenario's `filters`: any estimator of the registry, with a name and tuning parameters.
 
 filters:
-  - dynamics_ekf                                              # as it is
+  - dynamics_ekf                                              # with its defaults
   - {name: mine, rule: rarekf, k: 0.1, W: 2e-4}               # one of the paper's, by its rule
   - {name: quick, estimator: dynamics_ekf, process.push: 8}   # any, with fields of it; dotted or nested
 """
@@ -27,7 +27,7 @@ Parameter = float | str
 
 
 def _as_people_write(schema: dict[str, Any], model: type) -> None:
-    """An entry's JSON Schema: tuning parameters stand beside the name, and `rule` may name one of the paper's filters."""
+    """Adapt the JSON Schema: tuning parameters are keys of the entry, and `rule` may name one of the paper's filters."""
     properties = schema["properties"]
     properties["rule"] = {
         "type": "string",
@@ -40,10 +40,10 @@ def _as_people_write(schema: dict[str, Any], model: type) -> None:
 
 
 class FilterEntry(BaseModel):
-    """An estimator under a name of its own; what is not given keeps its default.
+    """An estimator with a name; parameters that are not given keep their defaults.
 
     Attributes:
-      name: how results call it.
+      name: in results.
       estimator: its name in the registry.
       parameters: values of its fields, by dotted name (`process.push`).
     """
@@ -52,11 +52,11 @@ class FilterEntry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_as_people_write)
 
     name: Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-    """Its own, in figures and tables."""
+    """Name in figures and tables."""
     estimator: str
-    """Which one (`flexspline estimators`)."""
+    """Name of the estimator (`flexspline estimators`)."""
     parameters: dict[str, Parameter] = {}
-    """Its tuning parameters; in a file they stand beside the name: `{name: slow, estimator: lowpass, cutoff: 5}`."""
+    """Tuning parameters; in a file they follow the name: `{name: slow, estimator: lowpass, cutoff: 5}`."""
 
     @model_validator(mode="before")
     @classmethod
@@ -97,7 +97,7 @@ class FilterEntry(BaseModel):
         return {"name": self.name, "estimator": self.estimator, **self.parameters}
 
     def build(self) -> Estimator:
-        """The estimator, ready to use.
+        """Build the estimator.
 
         Raises:
           InputError: a value out of range; names estimator and field.
@@ -105,27 +105,27 @@ class FilterEntry(BaseModel):
         return with_values(registry.get(self.estimator), {"name": self.name, **self.parameters})
 
     def varied(self, parameter: str, value: Parameter) -> FilterEntry:
-        """The same with another value of a parameter; `ValueError` where it does not take it."""
+        """Return the entry with another value of a parameter; `ValueError` if it is not allowed."""
         parameters = {**self.parameters, parameter: value}
         return FilterEntry.model_validate({"name": self.name, "estimator": self.estimator, **parameters})
 
 
 def paper_entries() -> list[FilterEntry]:
-    """The paper's filters as they are."""
+    """Return the paper's filters with their defaults."""
     return [FilterEntry.model_validate(name) for name in PAPER]
 
 
 def estimators(names: list[str] | tuple[str, ...] = ()) -> dict[str, Estimator]:
-    """The named estimators of the registry, in order; without names all of them.
+    """Return the named estimators of the registry, in order; all of them without names.
 
     Raises:
-      InputError: a name that the registry does not have.
+      InputError: an unknown name.
     """
     return {name: registry.get(name) for name in names or registry.names()}
 
 
 def parameters_of(estimator: Estimator) -> list[str]:
-    """Dotted names of the fields of an estimator that an entry may set."""
+    """Return dotted names of the fields that an entry may set."""
     return [field for field, _ in _values(estimator) if field != "name"]
 
 
@@ -154,7 +154,7 @@ def _flat(given: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def _values(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted name and value of every field of frozen settings."""
+    """Yield dotted name and value of every field of settings."""
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
         if dataclasses.is_dataclass(value):
@@ -164,7 +164,7 @@ def _values(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _checked(default: Estimator, key: str, value: Any) -> Parameter:
-    """A value for a field, as its type; `ValueError` where there is no such field or it is of another kind."""
+    """Return a value for a field, converted; `ValueError` for an unknown field or another type."""
     known = parameters_of(default)
     if key not in known:
         raise ValueError(f"{key}: {unknown_key(key, known)}")

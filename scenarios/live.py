@@ -1,4 +1,4 @@
-"""A scenario while it runs: the closed loop a stretch at a time, its filters beside it; in the end it is a run like any other."""
+"""A scenario while it runs: closed loop and filters advance in stretches; the result is a normal run."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class LiveRun:
     """A scenario while it runs.
 
     Attributes:
-      scenario: what runs.
-      names: of the filters that go along; the others, which look ahead or read a plugin's sensor, come with the end.
+      scenario: to run.
+      names: of the filters that run in stretches; filters that look ahead or read a plugin's sensor run at the end.
     """
 
     def __init__(self, scenario: Scenario, folder: Path | None = None):
-        """Make ready; arguments and errors as of `run_scenario`.
+        """Prepare; arguments and errors as of `run_scenario`.
 
         Raises:
-          InputError: no filter that can go along.
+          InputError: no filter that can run in stretches.
         """
         self.scenario = scenario
         self._experiment = Experiment.of(scenario, folder)
@@ -45,9 +45,7 @@ class LiveRun:
         }
         self.names = tuple(along)
         if not along:
-            raise InputError(
-                f"scenario {scenario.name}: filters: expected one that runs along, got {list(self._filters)}"
-            )
+            raise InputError(f"scenario {scenario.name}: filters: expected a causal one, got {list(self._filters)}")
         self._along = {name: OnlineEstimate(one, self._samples) for name, one in along.items()}
         model = registry.get("model")
         assert isinstance(model, CausalEstimator)
@@ -56,31 +54,31 @@ class LiveRun:
 
     @property
     def start(self) -> Run:
-        """The run before anything has happened: what was asked."""
+        """The run before the first tick."""
         return self._whole
 
     @property
     def over(self) -> bool:
-        """Whether all of it has been simulated."""
+        """Whether all ticks are simulated."""
         return self._loop.done >= len(self._whole.time)
 
     @property
     def done(self) -> float:
-        """How much has been simulated [s]."""
+        """Simulated time [s]."""
         return self._loop.done * CONTROL_PERIOD
 
     def advance(self, seconds: float) -> Run:
-        """Simulate the next stretch, of about so many seconds, at least two control ticks; while it is not over.
+        """Simulate the next stretch of about so many seconds, at least two ticks.
 
         Returns:
-          The stretch, a run that begins later.
+          The stretch as a run that begins later.
 
         Raises:
           InputError, FilterDiverged: as `run_scenario`.
         """
         begin, left = self._loop.done, len(self._whole.time) - self._loop.done
         ticks = max(round(seconds / CONTROL_PERIOD), 2)
-        part = self._loop.advance(ticks if left - ticks > 1 else left)  # a single tick that is left has no period
+        part = self._loop.advance(ticks if left - ticks > 1 else left)  # a single tick has no period
         self._experiment.check(self._loop, begin)
         self._samples.fill(part)
         model = self._model.advance(part).mean
@@ -95,7 +93,7 @@ class LiveRun:
         )
 
     def finish(self, threads: int = 1) -> Run:
-        """The whole run, once the last stretch has been simulated, with the filters that did not go along.
+        """Return the whole run after the last stretch, with the remaining filters.
 
         Raises:
           InputError, FilterDiverged: as `run_scenario`.

@@ -1,4 +1,4 @@
-"""Motions that are added to a scenario's waypoints: sine, chirp, multisine, and commanded positions from a file."""
+"""Motions added to a scenario's waypoints: sine, chirp, multisine, and positions from a file."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pydantic import Field, model_validator
 from ..models.errors import InputError, first_line
 from ..models.files import Strict
 
-_FADE = 1.0  # s, at most a tenth of the duration: over which an oscillation begins and ends
+_FADE = 1.0  # s, at most a tenth of the duration: fade in and out of oscillations
 
 
 class AddedMotion(Strict):
-    """A motion of the link added to the waypoints. Oscillations begin and end evenly, within a tenth of the duration and 1 s."""
+    """A motion of the link added to the waypoints. Oscillations fade in and out within a tenth of the duration, at most 1 s."""
 
     kind: Literal["sine", "chirp", "multisine", "file"]
-    """Its course over time. A chirp's frequency grows exponentially; a multisine has phases of a low peak (Schroeder)."""
+    """Shape over time. A chirp's frequency grows exponentially; a multisine has phases with a low peak (Schroeder)."""
     start: Annotated[float, Field(ge=0, description="s")] = 0.0
     duration: Annotated[float | None, Field(gt=0, description="s; of a file: to its last time")] = None
     amplitude: Annotated[
@@ -47,14 +47,14 @@ class AddedMotion(Strict):
             raise ValueError(f"end_frequency: expected more than {self.frequency:g} Hz, got {self.end_frequency:g} Hz")
         return self
 
-    def beside(self, folder: Path) -> AddedMotion:
-        """The same with the path of its file from a folder on."""
+    def in_folder(self, folder: Path) -> AddedMotion:
+        """Return the motion with the absolute path of its file, which was relative to a folder."""
         if self.file is None or Path(self.file).is_absolute():
             return self
         return self.model_copy(update={"file": str((folder / self.file).resolve())})
 
     def signal(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position [rad] and velocity [rad/s] at times [s], shape (n,)."""
+        """Return position [rad] and velocity [rad/s] at times [s], shape (n,) each."""
         if self.kind == "file":
             return self._of_file(time)
         assert self.duration is not None and self.frequency is not None
@@ -72,7 +72,7 @@ class AddedMotion(Strict):
             w = 2 * np.pi * np.linspace(f, self.end_frequency, self.lines)
             phase = -np.pi * np.arange(self.lines) * np.arange(1, self.lines + 1) / self.lines
             x, dx = np.zeros_like(t), np.zeros_like(t)
-            for wk, phi in zip(w, phase, strict=True):  # one after the other: a long run's piece is long enough
+            for wk, phi in zip(w, phase, strict=True):  # a loop: all at once would need too much memory
                 x, dx = x + np.sin(wk * t + phi), dx + wk * np.cos(wk * t + phi)
             x, dx = x / np.sqrt(self.lines), dx / np.sqrt(self.lines)
         fade = min(_FADE, 0.1 * T)
@@ -94,7 +94,7 @@ class AddedMotion(Strict):
 
 @lru_cache(maxsize=8)
 def _read(file: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times from a file's first on [s], positions [rad] and their rate [rad/s]."""
+    """Return a file's times from its first [s], positions [rad] and velocities [rad/s]."""
     import pandas as pd
 
     try:

@@ -1,9 +1,9 @@
-"""A scenario that has been run: signals, estimates, measures."""
+"""A scenario that has been run: signals, estimates, metrics."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from ..estimator.compliance import compliance
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.arm import ArmRecord
 from ..models.arm_dynamics import Arm
-from ..models.errors import InputError
+from ..models.errors import InputError, nearest
 from ..models.joint import Joint, beyond_sentence
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import REFERENCE_TEMPERATURE
@@ -33,12 +33,10 @@ _RECORDED = ("motor_position", "link_position", "motor_current", "joint_torque")
 _WHERE_STATED = ("motor_torque", "temperature")
 
 
-_COPIES = ("signals", "reference")
-"""What is worked out anew where a run is handed on: the same numbers in another place."""
-_LIMITED = 0.005
-"""Share of the time at the current limit from which on it is told: no shipped scenario is there at all."""
-_SOON, _TURNS = 0.1, 20
-"""Time [s] between opposite limits of the current, and their number, from which on a torque loop is unstable."""
+_SATURATED = 0.005
+"""Share of the time at the current limit above which a note says so; in shipped scenarios it is 0."""
+_FAST, _TURNS = 0.1, 20
+"""An unstable torque loop changes between opposite current limits within this time [s], at least so many times."""
 
 
 @dataclass(frozen=True)
@@ -46,28 +44,28 @@ class Place:
     """The place of a joint in an arm that moved; n control ticks.
 
     Attributes:
-      arm: as a recording says it.
-      external_torque: torques on the joint's own link and all beyond it, shape (n,) [N·m].
+      arm: as in a recording.
+      external_torque: torques on the joint's own link and all links beyond it, shape (n,) [N·m].
     """
 
     arm: ArmRecord
     external_torque: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
-    """A scenario that has been run: what was asked, what came out. n control ticks.
+    """A scenario that has been run, with its results; n control ticks.
 
     Attributes:
       scenario: resolved.
       joint, known_joint: the plant's joint, and the one that the estimators know.
-      known: what they know of it.
-      simulation: everything that happened at the control ticks: truth and readings as records, by name.
-      estimates: what each of the scenario's filters said, by its name.
+      known: parameters that the estimators know.
+      simulation: truth and readings at the control ticks.
+      estimates: results of the scenario's filters, by name.
       position_command: commanded link position [rad], shape (n,).
       external_torque: torque on the link [N·m], shape (n,).
-      place: where the joint was in an arm; None where it was alone.
-      raw: the raw compliance model [N·m], shape (n,), where it is known already.
+      place: of the joint in an arm; None for a single joint.
+      raw: raw compliance model [N·m], shape (n,), if it is already known.
     """
 
     scenario: Scenario
@@ -81,8 +79,19 @@ class Run:
     place: Place | None = None
     raw: np.ndarray | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in _COPIES}
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{name} {m['rms']:.3g}" for name, m in self.metrics["filters"].items())
+        return (
+            f"Run({self.name!r}: {self.joint.name}, {self.scenario.duration:g} s, seed {self.scenario.seed}, "
+            f"{len(self.time)} ticks; RMS error [N·m]: {errors or 'no filters'})"
+        )
+
+    def _repr_html_(self) -> str:
+        shown = {"rms": "error [N·m RMS]", "noise": "noise [N·m RMS]", "delay_ms": "delay [ms]"}
+        rows = [(name, *(m.get(key) for key in shown)) for name, m in self.metrics["filters"].items()]
+        text = f"{self.joint.name}, {self.scenario.duration:g} s, seed {self.scenario.seed}"
+        notes = "".join(paragraph("Note:", note) for note in self.notes)
+        return paragraph(self.name, text) + html_table(("filter", *shown.values()), rows) + notes
 
     @property
     def name(self) -> str:
@@ -96,110 +105,61 @@ class Run:
 
     @cached_property
     def signals(self) -> Signals:
-        """What an estimator may read."""
+        """Signals that an estimator may read."""
         return signals_of(self.simulation)
 
     @cached_property
     def model_torque(self) -> np.ndarray:
-        """Raw compliance model [N·m], shape (n,): what the paper's filters filter."""
+        """Raw compliance model [N·m], shape (n,): the input of the paper's filters."""
         return registry.get("model").estimate(self.signals, self.known).mean if self.raw is None else self.raw
 
     @cached_property
     def kinematic_error(self) -> np.ndarray:
         """Kinematic error of the plant [rad] at the true angle of its wave generator, shape (n,)."""
         record = self.joint.record(self.scenario.mount(self.joint))
-        # With zero torque the compliance model's kinematic error is the one at the given angle: θw itself.
+        # With zero torque, the compliance model's kinematic error is that at the given angle θw.
         return compliance(self.truth("wave_generator_position"), 0.0, 0.0, record).kinematic_error
 
-    def complete(self) -> Run:
-        """The same with all that its views show worked out, for whoever reads it elsewhere."""
-        for name in ("model_torque", "metrics", "kinematic_error"):
-            getattr(self, name)
-        return self
-
-    def _repr_html_(self) -> str:
-        shown = {"rms": "error [N·m RMS]", "noise": "noise [N·m RMS]", "delay_ms": "delay [ms]"}
-        rows = [(name, *(m.get(key) for key in shown)) for name, m in self.metrics["filters"].items()]
-        text = f"{self.joint.name}, {self.scenario.duration:g} s, seed {self.scenario.seed}"
-        notes = "".join(paragraph("Note:", note) for note in self.notes)
-        return paragraph(self.name, text) + html_table(("filter", *shown.values()), rows) + notes
-
     def truth(self, name: str) -> np.ndarray:
-        """A true signal, one of `sim.loop.TRUTH`, shape (n,)."""
-        return np.ascontiguousarray(self.simulation.truth[name])
-
-    @cached_property
-    def beyond(self) -> dict[str, float]:
-        """Shares of the motion beyond the range of validity of the plant's joint or of the one that the estimators know, the
-        larger (`models.joint.ValidRange.beyond`); empty where neither states one."""
-        joints = [joint for joint in (self.joint, self.known_joint) if joint.valid is not None]
-        moving = np.abs(self.truth("motor_velocity")) > 2.5 * self.joint.numbers["vs"].value
-        motion = [self.truth(name)[moving] for name in ("link_position", "link_velocity", "joint_torque")]
-        found: dict[str, float] = {}
-        for joint in joints:
-            for name, share in joint.valid.beyond(*motion).items() if joint.valid else ():
-                found[name] = max(share, found.get(name, 0.0))
-        return found
+        """Return a true signal, one of `sim.loop.TRUTH`, shape (n,); `InputError` for another name."""
+        return _field(self.simulation.truth, name, "true signal")
 
     def reading(self, name: str) -> np.ndarray:
-        """What a sensor gave, one of `models.signals.SENSED`, shape (n,)."""
-        return np.ascontiguousarray(self.simulation.readings[name])
+        """Return a sensor's reading, one of `models.signals.SENSED`, shape (n,); `InputError` for another name."""
+        return _field(self.simulation.readings, name, "reading")
 
     def estimate(self, name: str) -> np.ndarray:
-        """A filter's estimate of the joint torque [N·m], shape (n,)."""
+        """Return a filter's estimate of the joint torque [N·m], shape (n,); `InputError` for another name."""
+        if name not in self.estimates:
+            raise InputError(_unknown("filter", name, self.estimates))
         return self.estimates[name].mean
 
     @cached_property
+    def beyond(self) -> dict[str, float]:
+        """Shares of the motion outside the range of validity of either joint, the larger one (`ValidRange.beyond`); empty if
+        neither states a range."""
+        moving = np.abs(self.truth("motor_velocity")) > 2.5 * self.joint.numbers["vs"].value
+        motion = [self.truth(name)[moving] for name in ("link_position", "link_velocity", "joint_torque")]
+        found: dict[str, float] = {}
+        for joint in (self.joint, self.known_joint):
+            for name, share in joint.valid.beyond(*motion).items() if joint.valid is not None else ():
+                found[name] = max(share, found.get(name, 0.0))
+        return found
+
+    @cached_property
     def reference(self) -> Reference:
-        """What estimates of the joint torque are measured against."""
+        """Reference signals for metrics of joint torque estimates."""
         return reference_of(self.simulation, self.model_torque, self.external_torque, self.scenario.transient)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What whoever reads the measures should know: disturbances that do not act, a drive at its limit, no measures."""
-        end, samples, late, found = self.scenario.duration, len(self.time), [], []
-        for i, d in enumerate(self.scenario.disturbances):
-            if d.start >= end:
-                late.append((f"disturbances.{i}", f"{d.start:g}"))
-            elif d.start + d.duration > end:
-                found.append(
-                    f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
-                )
-        if late:
-            names, starts = (", ".join(words) for words in zip(*late, strict=True))
-            start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
-            found.insert(0, f"{names} {start} at {starts} s, after the end at {end:g} s: {act}")
-        limit = self.joint.numbers["current_limit"].value
-        limited = np.count_nonzero(np.abs(self.simulation.command) >= (1 - 1e-9) * limit) / samples
-        if limited > _LIMITED:
-            off = float(np.max(np.abs(self.position_command - self.truth("link_position"))))
-            swings = self.scenario.controller.torque_loop > 0.0 and _swings(self)
-            cause = "the torque loop is unstable" if swings else "the motion asks for more than it gives"
-            found.append(
-                f"the drive is at its limit of {limit:g} A for {100 * limited:.2g} % of the time: {cause}, and the link is up to "
-                f"{off:.2g} rad off its command"
-            )
-        found += _idle(self)
-        for name, one in self.estimates.items():
-            if one.untrusted is not None:
-                found.append(f"{name} is not to be trusted: {one.untrusted}")
-            count = int(np.sum(~np.isfinite(one.mean)))
-            if count:
-                found.append(f"{name} gives no estimate for {count} of {samples} samples and is not measured")
-        if self.tip_force is not None:
-            errors = self.tip_force.errors(self.reference.kept)
-            shown = ", ".join(f"{name} {value:.2f}" for name, value in sorted(errors.items(), key=lambda item: item[1]))
-            lever = self.tip_force.lever
-            where = "" if math.isnan(lever) else f"; it acts at {lever:.3f} m, says the wrench"
-            found.append(f"force at the link, RMS error [N]: {shown}{where}")
-        if self.beyond:
-            found.append(beyond_sentence(self.beyond))
-        return tuple(found)
+        """Remarks on the metrics: disturbances without effect, a saturated drive, estimates that are not to be trusted."""
+        return tuple([*_late(self), *_saturated(self), *_unused(self), *_estimates(self)])
 
     @cached_property
     def tip_force(self) -> TipForce | None:
-        """The force at the link by the wrench and by every filter (`evaluation.tip_force`); None where the scenario records no
-        wrench or its pushes have not one lever."""
+        """The force at the link by the wrench and by every filter (`evaluation.tip_force`); None without a recorded wrench or a
+        common lever of all forces."""
         lever = self.scenario.lever
         if lever is None:
             return None
@@ -209,7 +169,7 @@ class Run:
 
     @cached_property
     def metrics(self) -> dict[str, Any]:
-        """Measures of every filter, of the raw compliance model and of the torque sensor (`evaluation.metrics`)."""
+        """Metrics of every filter, of the raw compliance model and of the torque sensor (`evaluation.metrics`)."""
         reference = self.reference
         truth, kept = reference.truth, reference.kept
         error = (self.position_command - self.truth("link_position"))[kept]
@@ -232,10 +192,9 @@ class Run:
         }
 
     def as_recording(self) -> Recording:
-        """What a person would have measured: the sensors that the scenario's `record` names.
+        """Return a recording of the sensors that the scenario's `record` names.
 
-        Where it names none: encoders, current and torque sensor, and motor torque and temperature where the joint states such a
-        sensor's noise.
+        By default these are encoders, current and torque sensor; motor torque and temperature if the joint states their noise.
         """
         mounting = self.scenario.mount(self.joint)
         names = self.scenario.record
@@ -266,8 +225,50 @@ class Run:
         return replace(recording, link=link, load=load, arm=arm)
 
 
-def _idle(run: Run) -> Iterator[str]:
-    """What a scenario states and nothing in its run depends on."""
+def _field(records: np.ndarray, name: str, kind: str) -> np.ndarray:
+    names = records.dtype.names or ()
+    if name not in names:
+        raise InputError(_unknown(kind, name, names))
+    return np.ascontiguousarray(records[name])
+
+
+def _unknown(kind: str, name: str, known: Iterable[str]) -> str:
+    return f"{kind} {name!r}: expected one of {', '.join(known)}{nearest(name, known)}"
+
+
+def _late(run: Run) -> Iterator[str]:
+    """Disturbances that start or end after the scenario's end."""
+    end, disturbances = run.scenario.duration, list(enumerate(run.scenario.disturbances))
+    late = [(f"disturbances.{i}", f"{d.start:g}") for i, d in disturbances if d.start >= end]
+    if late:
+        names, starts = (", ".join(words) for words in zip(*late, strict=True))
+        start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
+        yield f"{names} {start} at {starts} s, after the end at {end:g} s: {act}"
+    for i, d in disturbances:
+        if d.start < end < d.start + d.duration:
+            yield f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
+
+
+def _saturated(run: Run) -> Iterator[str]:
+    """Whether the drive is at its current limit, and why."""
+    limit, command = run.joint.numbers["current_limit"].value, run.simulation.command
+    at_limit = np.flatnonzero(np.abs(command) >= (1 - 1e-9) * limit)
+    share = len(at_limit) / len(run.time)
+    if share <= _SATURATED:
+        return
+    turns = np.flatnonzero(np.diff(np.sign(command[at_limit])))  # an unstable loop goes from limit to limit
+    fast = np.diff(run.time[at_limit])[turns] < _FAST
+    unstable = run.scenario.controller.torque_loop > 0.0 and np.count_nonzero(fast) >= _TURNS
+    cause = "the torque loop is unstable" if unstable else "the motion asks for more than it gives"
+    off = float(np.max(np.abs(run.position_command - run.truth("link_position"))))
+    yield (
+        f"the drive is at its limit of {limit:g} A for {100 * share:.2g} % of the time: {cause}, and the link is up to "
+        f"{off:.2g} rad off its command"
+    )
+
+
+def _unused(run: Run) -> Iterator[str]:
+    """Keys of the scenario that have no effect."""
     scenario, at = run.scenario, run.scenario.temperature
     coefficients = (joint.record()["friction_temperature"][0] for joint in (run.joint, run.known_joint))
     if (at.start, at.end) != (REFERENCE_TEMPERATURE,) * 2 and not any(coefficients):
@@ -279,19 +280,27 @@ def _idle(run: Run) -> Iterator[str]:
             yield f"sensors.{name} acts on nothing: the scenario records no force"
 
 
-def _swings(run: Run) -> bool:
-    """Whether the drive's current goes from limit to limit as an unstable loop's does, most times within a tenth of a second."""
-    limit, command = run.joint.numbers["current_limit"].value, run.simulation.command
-    at = np.flatnonzero(np.abs(command) >= (1 - 1e-9) * limit)
-    turns = np.flatnonzero(np.diff(np.sign(command[at])))
-    soon = np.diff(run.time[at])[turns] < _SOON
-    return bool(np.count_nonzero(soon) >= _TURNS)
+def _estimates(run: Run) -> Iterator[str]:
+    """Estimates without metrics or trust, forces at the link, motion outside the range of validity."""
+    for name, one in run.estimates.items():
+        if one.untrusted is not None:
+            yield f"{name} is not to be trusted: {one.untrusted}"
+        count = int(np.sum(~np.isfinite(one.mean)))
+        if count:
+            yield f"{name} gives no estimate for {count} of {len(run.time)} samples and is not measured"
+    if run.tip_force is not None:
+        errors = sorted(run.tip_force.errors(run.reference.kept).items(), key=lambda item: item[1])
+        lever = run.tip_force.lever
+        where = "" if math.isnan(lever) else f"; by the wrench, it acts at {lever:.3f} m"
+        yield f"force at the link, RMS error [N]: {', '.join(f'{name} {value:.2f}' for name, value in errors)}{where}"
+    if run.beyond:
+        yield beyond_sentence(run.beyond)
 
 
 def reference_of(
     simulation: Simulation, model_torque: np.ndarray, external_torque: np.ndarray, transient: float
 ) -> Reference:
-    """What estimates over a simulation are measured against; `transient`: left out at the start [s]."""
+    """Return the reference for metrics of a simulation; `transient`: time to leave out at the start [s]."""
     return Reference(
         np.ascontiguousarray(simulation.truth["joint_torque"]),
         np.ascontiguousarray(simulation.readings["joint_torque"]),
@@ -307,12 +316,11 @@ def run_scenario(scenario: Scenario, folder: Path | None = None, threads: int = 
 
     Args:
       scenario: what to run.
-      folder: of the scenario's file, where a joint that it names by a relative path lies.
+      folder: of the scenario's file, to which the joint's path is relative.
       threads: filters at a time; the result does not depend on it.
 
     Raises:
-      InputError: a joint or mounting that does not exist; torques under which the motion is no longer finite; a filter that
-        reads a sensor that there is not.
+      InputError: an unknown joint or mounting; torques with which the motion is no longer finite; a filter without its sensor.
       FilterDiverged: an estimate is no longer finite; names filter and time.
     """
     experiment = Experiment.of(scenario, folder)
@@ -324,7 +332,7 @@ def run_scenario(scenario: Scenario, folder: Path | None = None, threads: int = 
 def run_of(
     experiment: Experiment, simulation: Simulation, estimates: dict[str, Posterior], place: Place | None = None
 ) -> Run:
-    """What came of an experiment, as a run."""
+    """Return an experiment with its results as a run."""
     return Run(
         experiment.scenario, experiment.joint, experiment.known_joint, experiment.known, simulation, estimates,
         experiment.position, experiment.external_torque, place,
@@ -332,10 +340,10 @@ def run_of(
 
 
 def simulate_scenario(scenario: Scenario, folder: Path | None, seed: int) -> Run:
-    """Run a scenario with a seed and without its filters: the signals are those of any filters.
+    """Run a scenario with a seed and without its filters.
 
     Raises:
-      InputError: an estimate fed back: the signals would depend on the filter.
+      InputError: an estimate is fed back: the signals would depend on the filter.
     """
     if scenario.feedback not in ("none", "sensor"):
         raise InputError(

@@ -25,8 +25,8 @@ from ..sim.sensors import time_stamps
 from .run import Run
 from .scenario import Scenario
 
-View = Callable[[Run, Path], Callable[[], object] | None]
-"""Adds to a run's folder: a function of (run, folder) that begins, and gives what waits for its end if there is any."""
+View = Callable[[Run, Path], object]
+"""Adds files to a run's folder: a function of run and folder."""
 _UNITS = {
     "position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "current": "A", "torque": "N·m", "force": "N",
     "torque_rate": "N·m/s", "bristle": "rad", "dahl": "rad", "hysteresis": "rad", "torsion": "rad", "measurement": "N·m",
@@ -53,15 +53,13 @@ def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | Non
       InputError: it cannot be written, or holds files that are not a run's.
     """
     with output_folder(out, _MAKER, whole=True, within=within) as folder:
-        begun = [view(run, folder) for view in views]
         write_recording(run.as_recording(), folder)
         signals = signal_columns(run)
         write_table(folder / "signals.parquet", signals, {name: _unit_of(name) for name in signals})
         write_table(folder / "estimates.parquet", *_estimate_columns(run))
         _describe(run, folder)
-        for finish in begun:
-            if finish is not None:
-                finish()
+        for view in views:
+            view(run, folder)
     return out
 
 

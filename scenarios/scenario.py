@@ -1,4 +1,4 @@
-"""Scenarios: YAML files in which a person states an experiment."""
+"""Scenarios: YAML files that describe an experiment."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import itertools
 import math
 import re
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -28,46 +27,46 @@ from .filters import PAPER, FilterEntry, paper_entries
 from .motion import AddedMotion
 
 _LONGEST = 3600.0  # s: four filters over it take 4 GB
-_DEEPEST = 20  # dots of a key; the longest has five
+_DEEPEST = 20  # dots of a key; the longest useful key has five
 LAGGING = Controller().lagging(2e-3)
-"""The drive where `sensors: realistic` and none is stated."""
+"""Default controller with `sensors: realistic`."""
 
 
 class Waypoint(Strict):
     """A position of the link at a time; between waypoints the command moves with minimum jerk, or linearly."""
 
     time: Annotated[float, Field(ge=0, description="s")]
-    position: Annotated[float, Field(description="rad, output side; 0 hangs straight down")]
+    position: Annotated[float, Field(description="rad, output side; 0 is straight down")]
     profile: Annotated[Literal["minimum_jerk", "linear"], Field(description="of the motion that ends here")] = (
         "minimum_jerk"
     )
 
 
 class Disturbance(Strict):
-    """A force at the link, by its torque: a push (half sine), a step (held for the duration), a ramp up and down (triangle), a
-    sine, or a random walk, another one for each seed."""
+    """A force at the link, given by its torque: a push (half sine), a step, a triangle, a sine, or a random walk (new for each
+    seed)."""
 
     kind: Literal["push", "step", "triangle", "sine", "walk"]
-    """Its course over time."""
+    """Shape over time."""
     start: Annotated[float, Field(ge=0, description="s")]
     duration: Annotated[float, Field(gt=0, description="s")]
     torque: Annotated[
         float,
-        Field(description="N·m at its largest; positive pushes forward. Of a walk: standard deviation at its end"),
+        Field(description="largest value, N·m; positive pushes forward. Of a walk: standard deviation at its end"),
     ]
     lever: Annotated[
         float,
-        Field(ge=0, description="m from the axis, where a force at the link makes that torque; 0: a torque alone"),
+        Field(ge=0, description="distance of the force from the axis, m; 0: a pure torque"),
     ] = 0.4
     cycles: Annotated[float, Field(gt=0, description="periods of a sine within the duration")] = 1.0
 
     def acts(self, time: np.ndarray) -> np.ndarray:
-        """Whether it acts at the times [s], shape (n,)."""
+        """Return whether it acts at times [s], shape (n,)."""
         u = (time - self.start) / self.duration
         return (u >= 0) & (u < 1)
 
     def signal(self, time: np.ndarray, seed: int = 0) -> np.ndarray:
-        """Torque [N·m] at the times [s]; for a walk, `seed` is that of the scenario."""
+        """Return the torque [N·m] at times [s], shape (n,); `seed`: of the scenario, for a walk."""
         u = (time - self.start) / self.duration
         inside = self.acts(time)
         shape = {
@@ -80,7 +79,7 @@ class Disturbance(Strict):
         return np.where(inside, self.torque * shape, 0.0)
 
     def _walk(self, inside: np.ndarray, seed: int) -> np.ndarray:
-        """A random walk that is zero where it begins and has unit standard deviation where it ends."""
+        """A random walk from zero to unit standard deviation."""
         steps = stream(seed, f"walk at {self.start:g} s").standard_normal(len(inside)) * inside
         if np.any(inside):
             steps[np.argmax(inside)] = 0.0
@@ -114,7 +113,7 @@ class Temperature(Strict):
         return {"start": self.start, "end": self.end, "time_constant": self.time_constant}
 
     def signal(self, time: np.ndarray) -> np.ndarray:
-        """Temperature [°C] at times [s], shape (n,)."""
+        """Return the temperature [°C] at times [s], shape (n,)."""
         return self.end + (self.start - self.end) * np.exp(-time / self.time_constant)
 
 
@@ -123,9 +122,9 @@ class Scenario(Strict):
 
     format: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    """Of the run's folder."""
+    """Name of the run's folder."""
     description: str = ""
-    """What it is for."""
+    """Purpose."""
     figure: Annotated[str, Field(description="the paper's figure that this reproduces")] = ""
     joint: Annotated[str, Field(description="a shipped joint's name or a path")] = "test-joint"
     known_joint: Annotated[str, Field(description="what the estimators know; the joint itself by default")] = ""
@@ -133,51 +132,51 @@ class Scenario(Strict):
         dict[str, float], Field(description="numbers of the plant that the estimators do not know, SI")
     ] = {}
     mounting: Annotated[str, Field(description="of the joint; its default where empty")] = ""
-    link: Annotated[
-        Mounting | None, Field(description="what hangs on the output, instead of a mounting by its name")
-    ] = None
+    link: Annotated[Mounting | None, Field(description="payload of the output, instead of a mounting by its name")] = (
+        None
+    )
     duration: Annotated[float, Field(gt=0, description="s; an hour at most: a run is held in memory")]
     timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream."""
     locked_rotor: bool = False
-    """Hold the rotor still: the output is turned by the disturbances alone."""
+    """Hold the rotor still; only the disturbances turn the output."""
     trajectory: Annotated[list[Waypoint], Field(min_length=1)]
-    """Where the link is commanded to be."""
+    """Commanded positions of the link."""
     motions: list[AddedMotion] = []
     """Added to the trajectory."""
     disturbances: list[Disturbance] = []
     """Forces at the link."""
     sensors: Annotated[
         dict[str, Any] | Literal["realistic"],
-        Field(description="changes to the joint's sensors, or `realistic`: sensors, clock and drive as they are"),
+        Field(description="changes to the joint's sensors, or `realistic`: realistic sensors, clock and drive"),
     ] = {}
     current: Annotated[
         Literal["command", "sensor"],
         Field(
-            description="what the paper's filters take for the motor current: the drive's command, as the paper does, or the "
-            "sensor's reading, as all others do"
+            description="motor current for the paper's filters: the drive's command, as in the paper, or the sensor's reading, "
+            "as for all other estimators"
         ),
     ] = "command"
     jitter: Annotated[float, Field(ge=0, lt=1e-3, description="of the time stamps, s rms")] = 0.0
     controller: Controller = Controller()
-    """Of the position."""
+    """Position controller."""
     feedback: Annotated[str, Field(description="filter whose estimate is fed back, `sensor`, or `none`")] = "none"
     temperature: Annotated[Temperature, Field(description="of the gear, °C")] = Temperature(
         start=REFERENCE_TEMPERATURE, end=REFERENCE_TEMPERATURE
     )
     filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)
-    """Estimators by name, or with tuning parameters under names of their own."""
+    """Estimators by name, or with a new name and tuning parameters."""
     record: Annotated[
-        list[str], Field(description="what its recording holds of the sensors; where empty, what the joint states")
+        list[str], Field(description="sensors in the recording; by default those that the joint states")
     ] = []
     transient: Annotated[float, Field(ge=0, description="s at the start that metrics leave out")] = 1.0
-    _at_hand: dict[str, Joint] = PrivateAttr(default_factory=dict)
+    _given: dict[str, Joint] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod
-    def _as_they_are(cls, given: Any) -> Any:
-        """`sensors: realistic` says what the clock and the drive are, too, where they are not stated."""
+    def _realistic(cls, given: Any) -> Any:
+        """Set clock and drive for `sensors: realistic`, unless they are stated."""
         if not isinstance(given, dict) or given.get("sensors") != "realistic":
             return given
         return {"current": "sensor", "jitter": 1e-4, "controller": LAGGING} | given
@@ -231,17 +230,17 @@ class Scenario(Strict):
 
     @property
     def ticks(self) -> int:
-        """How many control instants there are."""
+        """Number of control ticks."""
         return round(self.duration / CONTROL_PERIOD)
 
     @property
     def time(self) -> np.ndarray:
-        """Control instants [s], shape (n,)."""
+        """Control ticks [s], shape (n,)."""
         return np.arange(self.ticks) * CONTROL_PERIOD
 
     def commands(self, time: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Commanded link position [rad] and velocity [rad/s] at all control instants, or at times [s], increasing, shape (n,):
-        held before and after the waypoints, with the motions."""
+        """Return commanded link position [rad] and velocity [rad/s], shape (n,) each, at all control ticks, or at increasing
+        times [s]."""
         time = self.time if time is None else time
         position = np.full_like(time, self.trajectory[0].position)
         velocity = np.zeros_like(time)
@@ -262,47 +261,46 @@ class Scenario(Strict):
 
     @property
     def happening(self) -> list[Disturbance]:
-        """The disturbances that end before the scenario does."""
+        """Disturbances that end before the scenario ends."""
         return [d for d in self.disturbances if d.start + d.duration <= self.duration]
 
     def external_torque(self) -> np.ndarray:
-        """Torque on the link [N·m], shape (n,): the sum of the disturbances."""
+        """Return the torque of all disturbances on the link [N·m], shape (n,)."""
         time = self.time
         return sum((d.signal(time, self.seed) for d in self.disturbances), np.zeros_like(time))
 
     def tip_force(self) -> np.ndarray:
-        """Tangential force on the link [N], shape (n,), of the disturbances that have a lever; positive pushes forward."""
+        """Return the tangential force of disturbances with a lever [N], shape (n,); positive pushes forward."""
         time = self.time
         forces = [d.signal(time, self.seed) / d.lever for d in self.disturbances if d.lever > 0.0]
         return sum(forces, np.zeros_like(time))
 
     @property
     def lever(self) -> float | None:
-        """Lever [m] of the force at the link where the wrench is recorded and all forces have that one, so that both can be
-        compared; None otherwise."""
+        """Common lever [m] of all forces, if the wrench is recorded to compare with; None otherwise."""
         levers = {d.lever for d in self.disturbances}
         return levers.pop() or None if "force_x" in self.record and len(levers) == 1 else None
 
     def estimators(self) -> dict[str, Estimator]:
-        """Its filters by name."""
+        """Return its filters by name."""
         return {entry.name: entry.build() for entry in self.filters}
 
     @property
-    def joints_at_hand(self) -> dict[str, Joint]:
-        """Descriptions that were given as such and stand in no file, by the key that they stand for."""
-        return dict(self._at_hand)
+    def given_joints(self) -> dict[str, Joint]:
+        """`Joint` objects that replace a name or path, by key."""
+        return dict(self._given)
 
     def with_joints(self, joints: Mapping[str, Joint]) -> Self:
-        """The same with descriptions at hand, where its file has a name or a path: `joint`, `known_joint`."""
+        """Return the scenario with `Joint` objects in place of names or paths; keys `joint`, `known_joint`."""
         copy = self.model_copy(update={key: one.name for key, one in joints.items()})
-        copy._at_hand = self._at_hand | dict(joints)
+        copy._given = self._given | dict(joints)
         return copy
 
     def load_joint(self, folder: Path | None = None) -> tuple[Joint, Joint]:
-        """The plant's joint and the one that the estimators know, with the scenario's sensors."""
+        """Return the plant's joint and the one that the estimators know, with the scenario's sensors."""
 
         def described(key: str) -> Joint:
-            return self._with_sensors(self._at_hand.get(key) or load_joint(getattr(self, key), folder))
+            return self._with_sensors(self._given.get(key) or load_joint(getattr(self, key), folder))
 
         joint = described("joint")
         known = described("known_joint") if self.known_joint else joint
@@ -310,11 +308,13 @@ class Scenario(Strict):
             numbers = dict(joint.numbers)
             for symbol, value in self.plant.items():
                 numbers[symbol] = numbers[symbol].model_copy(update={"value": value})
-            joint = _revalidated(joint, {"numbers": numbers}, f"scenario {self.name}: plant")
+            path, data = joint._path, joint.model_copy(update={"numbers": numbers}).model_dump()
+            joint = parse(data, Joint, f"scenario {self.name}: plant")
+            joint._path = path
         return joint, known
 
     def mount(self, joint: Joint) -> Mounting:
-        """What hangs on a joint's output; `InputError` where it has no mounting of that name."""
+        """Return the payload of a joint's output; `InputError` for an unknown mounting."""
         return joint.mount(self.mounting or None) if self.link is None else self.link
 
     def _with_sensors(self, joint: Joint) -> Joint:
@@ -322,7 +322,7 @@ class Scenario(Strict):
             return joint
         changes = realistic(joint) if isinstance(self.sensors, str) else self.sensors
         merged = _merge(joint.sensors.model_dump(), changes)
-        # A resolution given one way replaces the other.
+        # A resolution in bits replaces one in counts, and the other way round.
         for name, change in changes.items():
             if isinstance(change, dict) and isinstance(merged.get(name), dict):
                 for given, other in (("bits", "counts"), ("counts", "bits")):
@@ -330,13 +330,6 @@ class Scenario(Strict):
                         merged[name][other] = None
         sensors = parse(merged, Sensors, f"scenario {self.name}: sensors")
         return joint.model_copy(update={"sensors": sensors})
-
-
-def _revalidated(joint: Joint, update: dict[str, Any], where: str) -> Joint:
-    data = joint.model_copy(update=update).model_dump()
-    copy = parse(data, Joint, where)
-    copy._path = joint._path
-    return copy
 
 
 def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -350,32 +343,30 @@ def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def shipped_scenarios() -> dict[str, Path]:
-    """The scenarios that the package ships, by name."""
-    folder = Path(str(resources.files(str(__package__))))
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    """Return the scenarios that the package ships, by name."""
+    return {path.stem: path for path in sorted(Path(__file__).parent.glob("*.yaml"))}
 
 
 def shipped_arms() -> dict[str, Path]:
-    """The scenarios of arms that the package ships, by name."""
-    folder = Path(str(resources.files(str(__package__)))) / "arms"
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    """Return the scenarios of arms that the package ships, by name."""
+    return {path.stem: path for path in sorted((Path(__file__).parent / "arms").glob("*.yaml"))}
 
 
 def load_scenario(
     source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[Scenario, Path]:
-    """Load a scenario by the name of a shipped one, or from a YAML file.
+    """Load a scenario.
 
     Args:
-      source: name or path.
-      changes: `key=value` overrides; dotted keys reach inside (`filters.2.k=0.1`, `controller.kp=6`).
+      source: name of a shipped scenario, or path of a YAML file.
+      changes: `key=value` with dotted keys (`filters.2.k=0.1`, `controller.kp=6`).
       seed: replaces the scenario's.
 
     Returns:
       The scenario and the folder of its file.
 
     Raises:
-      InputError: no such scenario, or one that is wrong; one line.
+      InputError: no such scenario, or one that is wrong.
     """
     data, path = read_scenario(source, changes, seed, shipped_arms())
     if "arm" in data:
@@ -383,14 +374,14 @@ def load_scenario(
             f"{path}: arm: expected the scenario of a joint, got that of an arm: `flexspline run` takes one"
         )
     found = parse_changed(data, Scenario, path, changes)
-    return found.model_copy(update={"motions": [m.beside(path.parent) for m in found.motions]}), path.parent
+    return found.model_copy(update={"motions": [m.in_folder(path.parent) for m in found.motions]}), path.parent
 
 
 def parse_changed(data: dict[str, Any], model: type[M], path: Path, changes: list[str] | None) -> M:
-    """Check the data of a scenario's file with changes; what is wrong with a change is not blamed on the file.
+    """Check the data of a scenario's file with changes; an error of a change names the change.
 
     Raises:
-      InputError: what is wrong, in one line.
+      InputError: data that are wrong.
     """
     try:
         return parse(data, model, str(path) if changes else path)
@@ -403,7 +394,7 @@ def parse_changed(data: dict[str, Any], model: type[M], path: Path, changes: lis
         key = next(
             (k for k in reversed(keys) if f"{k}.".startswith(f"{field}.") or f"{field}.".startswith(f"{k}.")), None
         )
-        if key is None:  # it does not fit what the file says
+        if key is None:  # a change contradicts the file
             raise InputError(f"{path} with --set {', '.join(keys)}: {line}") from error
         raise InputError(f"--set {key}: {rest if key == field else line}") from error
 
@@ -414,7 +405,7 @@ def read_scenario(
     seed: int | None = None,
     further: Mapping[str, Path] | None = None,
 ) -> tuple[dict[str, Any], Path]:
-    """The data of a scenario's file with changes, unchecked, and its path; `further`: names beside those of shipped scenarios."""
+    """Return the data of a scenario's file with changes, unchecked, and its path; `further`: more names with paths."""
     path = find(source, shipped_scenarios() | dict(further or {}), "scenario")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
@@ -424,9 +415,7 @@ def read_scenario(
         key = change.partition("=")[0]
         lost = next((before for before in changes[:i] if before.startswith(f"{key}.")), None)
         if lost is not None:
-            raise InputError(
-                f"--set {change}: it replaces --set {lost}, which is inside it: expected the wider key first"
-            )
+            raise InputError(f"--set {change}: it would discard --set {lost}: expected --set {key} first")
         _override(data, change)
     if seed is not None:
         data["seed"] = seed
@@ -434,10 +423,10 @@ def read_scenario(
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A scenario's data with other values of dotted keys.
+    """Return a scenario's data with other values of dotted keys.
 
     Raises:
-      InputError: a key that leads nowhere.
+      InputError: an unknown key.
     """
     data = scenario.model_dump(mode="json", exclude_none=True)
     put_all(data, changes, f"scenario {scenario.name}")
@@ -445,18 +434,15 @@ def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def put_all(data: dict[str, Any], changes: Mapping[str, Any], where: str) -> None:
-    """Give dotted keys other values, in place; `where`: what messages begin with."""
+    """Set dotted keys in place; `where`: start of messages."""
     for key, value in changes.items():
-        put(data, key, from_here(key, value), f"{where}: {key}")
+        put(data, key, _from_here(key, value), f"{where}: {key}")
 
 
-def from_here(key: str, value: Any) -> Any:
-    """A change's value; a joint's file is looked for where one stands, not in the scenario's folder."""
-    if (
-        key.rpartition(".")[2] in ("joint", "known_joint")
-        and str(value).endswith(".yaml")
-        and Path(str(value)).is_file()
-    ):
+def _from_here(key: str, value: Any) -> Any:
+    """Return a change's value; a joint's path is relative to the current folder, not to the scenario's."""
+    is_joint = key.rpartition(".")[2] in ("joint", "known_joint")
+    if is_joint and str(value).endswith(".yaml") and Path(str(value)).is_file():
         return str(Path(str(value)).resolve())
     return str(value) if isinstance(value, Path) else value
 
@@ -465,7 +451,7 @@ def _override(data: dict[str, Any], change: str) -> None:
     key, sign, text = change.partition("=")
     if not sign or not key:
         raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
-    put(data, key, from_here(key, yaml_value(text)), f"--set {change}")
+    put(data, key, _from_here(key, yaml_value(text)), f"--set {change}")
 
 
 def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:
@@ -479,7 +465,7 @@ def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:
     for part in path:
         if isinstance(place, list):
             item = _item(place, part, where)
-            if isinstance(item, str):  # a filter that stands there by its name alone
+            if isinstance(item, str):  # a filter that is given by its name
                 item = place[int(part)] = {"name": item, "estimator": item}
             place = item
         else:

@@ -1,4 +1,4 @@
-"""A motion that any joint can make: to and fro at three speeds, for what is said of a joint without a measurement."""
+"""A motion that any joint can make: back and forth at three speeds, where there is no measurement of the joint."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .scenario import Scenario
 
 _SPEEDS = (0.25, 0.1, 0.04) * 2  # of the no-load speed
 _ANGLE = 0.8  # rad
-_SHARE = 0.3  # of the motor's torque that accelerating may take
+_SHARE = 0.3  # of the motor's torque for acceleration
 
 
 def standard_motion(joint: Joint) -> Measurement:
     """Simulate a joint in its default mounting on the standard motion: a measurement of one recording.
 
-    The link goes between ± 0.8 rad, twice each at 25, 10 and 4 % of the no-load speed at most, and not faster than 30 % of the
-    motor's torque accelerates it.
+    The link moves between ± 0.8 rad, twice each at up to 25, 10 and 4 % of the no-load speed. Acceleration takes at most 30 % of
+    the motor's torque.
     """
     p = joint.record()[0]
     top = p["supply_voltage"] / (p["Kt"] * p["N"])

@@ -33,7 +33,7 @@ def test_import_and_check(flexspline, log, tmp_path):
     assert code == 0, error
     code, text, error = flexspline("check", tmp_path / "m")
     assert code == 0 and "no mistake in the data was found" in text, error
-    assert "torsion cannot be seen" in text
+    assert "torsion is not measured" in text
     assert "it lives in the torsion, which one encoder does not show" in text
 
 

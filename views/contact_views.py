@@ -1,4 +1,4 @@
-"""Collision detectors as tables, a CSV of their curves, and a figure: false alarms against smallest push and delay."""
+"""Collision detectors as tables and as a figure: false alarms against smallest push and delay."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from rich.text import Text
 
 from .figures.sheet import BETWEEN, LEFT, RIGHT, WIDTH, blank, place, styled
 from .limit_figures import contender_color
-from .limit_tables import markdown
 from .style import SENSOR
-from .tables import narrow_table
+from .tables import markdown_table, narrow_table
 
 if TYPE_CHECKING:
     from ..scenarios.evaluation.contact import OperatingPoint
@@ -23,8 +22,8 @@ HEADS = ("estimator", "threshold [N·m]", "false alarms / h", "smallest push [N�
 """Columns of `contact_rows`."""
 
 
-def told(row: Mapping[str, Any], measure: str, digits: int, scale: float = 1.0) -> str:
-    """A measure of a row of `as_data` with its interval where it has one; `none` where no push is found."""
+def measure_text(row: Mapping[str, Any], measure: str, digits: int, scale: float = 1.0) -> str:
+    """Return a measure of a row of `as_data` with its interval; `none` if no push is found."""
     value, low, high = (row[f"{measure}{end}"] for end in ("", "_low", "_high"))
     if value is None:
         return "none" if measure == "smallest_push" and row["threshold"] is not None else "–"
@@ -35,22 +34,22 @@ def told(row: Mapping[str, Any], measure: str, digits: int, scale: float = 1.0) 
 
 
 def contact_rows(detectors: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
-    """A row of text per row of `as_data`, `HEADS`."""
+    """Yield a row of text per row of `as_data`, `HEADS`."""
     for row in detectors:
         threshold = "–" if row["threshold"] is None else f"{row['threshold']:.3f}"
         yield (
-            row["estimator"], threshold, told(row, "false_alarms_per_hour", 1), told(row, "smallest_push", 2),
-            told(row, "found_of_large", 0, 100.0), told(row, "delay", 0, 1e3),
+            row["estimator"], threshold, measure_text(row, "false_alarms_per_hour", 1), measure_text(row, "smallest_push", 2),
+            measure_text(row, "found_of_large", 0, 100.0), measure_text(row, "delay", 0, 1e3),
         )  # fmt: skip
 
 
 def reasons(detectors: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Why detectors have no threshold or find no push, and whose estimates diverged."""
+    """Return why detectors have no threshold, find no push, or diverged."""
     return [f"{row['estimator']}: {row['reason']}" for row in detectors if row["reason"]]
 
 
 def titles(answer: Mapping[str, Any]) -> Iterator[tuple[str, list[Mapping[str, Any]]]]:
-    """A title and the detectors for each tolerance of an answer, as `contact.json` has it."""
+    """Yield a title and the detectors for each tolerance of an answer, which is the content of `contact.json`."""
     for share in dict.fromkeys(row["tolerance"] for row in answer["detectors"]):
         joint = f"{answer['joint']} within tolerance ×{share:g}" if share else f"{answer['joint']} known exactly"
         yield (
@@ -60,17 +59,18 @@ def titles(answer: Mapping[str, Any]) -> Iterator[tuple[str, list[Mapping[str, A
         )
 
 
-def contact_markdown(detectors: Sequence[Mapping[str, Any]]) -> str:
-    """Detectors, rows of `as_data`, at their thresholds in Markdown, with the reasons of those that have none."""
-    return "\n\n".join([markdown(HEADS, list(contact_rows(detectors))), *reasons(detectors)])
+def contact_markdown(answer: Mapping[str, Any]) -> str:
+    """Return the detectors of an answer at their thresholds as Markdown, a table for each tolerance."""
+    parts = ((f"## {title}", markdown_table(HEADS, contact_rows(own)), *reasons(own)) for title, own in titles(answer))
+    return "".join(f"{text}\n\n" for part in parts for text in part)
 
 
 def contact_table(detectors: Sequence[Mapping[str, Any]], title: str) -> Table:
-    """Detectors at their thresholds, for the terminal."""
+    """Return detectors at their thresholds for the terminal."""
     table = narrow_table(
         title,
-        "false alarms: seconds with one per hour, counted on other runs than those that gave the threshold; smallest push: of "
-        "which 90 % are found; 95 % intervals: bootstrap over runs",
+        "false alarms: seconds with an alarm per hour, counted on other runs than those for the threshold; smallest push: size "
+        "of which 90 % are found; 95 % intervals: bootstrap over runs",
     )
     for i, head in enumerate(HEADS):
         words, _, unit = head.partition(" [")
@@ -83,8 +83,8 @@ def contact_table(detectors: Sequence[Mapping[str, Any]], title: str) -> Table:
 
 
 def as_data(points: Mapping[str, OperatingPoint], tolerance: float) -> list[dict[str, Any]]:
-    """A row per estimator, the smallest push first: threshold [N·m], every measure with the ends of its interval, and why one has
-    none; None where there is none."""
+    """Return a row per estimator, the smallest push first: threshold [N·m], measures with the ends of their intervals, and the
+    reason for missing ones; None for undefined numbers."""
     names = {
         "alarms": "false_alarms_per_hour",
         "smallest": "smallest_push",
@@ -111,22 +111,21 @@ def _finite(value: float) -> float | None:
 
 @styled
 def contact_figure(rows: Sequence[Mapping[str, Any]], scenario: str) -> Figure:
-    """False alarms against the smallest push that is found, and against the delay; a row of panels per tolerance."""
+    """Draw false alarms against the smallest push found, and against the delay; a row of panels per tolerance."""
     tolerances = sorted({r["tolerance"] for r in rows})
     names = list(dict.fromkeys(r["estimator"] for r in rows))
     hours = max(r["hours"] for r in rows)
     kinds: dict[str, tuple[str, str]] = {}
-    for name in names:  # of one colour a line of another kind each
+    for name in names:  # estimators of one colour differ in dashes
         color = SENSOR if name == "torque sensor" else contender_color(name.partition(",")[0])
         kinds[name] = next(
             ((color, d) for d in ("-", ":", "--", "-.") if (color, d) not in kinds.values()), (color, "-")
         )
     caption = (
-        f"{scenario}. A detector is a threshold on |external torque|; along a curve it falls. Thresholds from every other of the "
-        f"runs without contact, false alarms counted on the others ({hours:.2g} h), pushes in runs of their own; every run is "
-        "another joint within tolerance, another motion and noise. Smallest push: of which 90 % are found; where an "
-        "alarm is on already, none is. Delay: median, from the onset of half-sine pushes of 2 N·m or more. Below and to the left "
-        "is better."
+        f"{scenario}. A detector is a threshold on |external torque|; it decreases along a curve. Thresholds come from one half "
+        f"of the runs without contact, false alarms from the other half ({hours:.2g} h), pushes from more runs. Every run has "
+        "another joint within tolerance, another motion and other noise. Smallest push: size of which 90 % are found; a push "
+        "during an alarm is not. Delay: median, from the onset of half-sine pushes of 2 N·m or more. Lower left is better."
     )
     above, height = 0.55 + 0.2 * -(-len(names) // 4), 2.5
     figure = blank("Contact: false alarms, delay, smallest push", caption, above + len(tolerances) * (height + 0.85))

@@ -44,19 +44,16 @@ def _bins(b: ResidualSeries, key: str) -> np.ndarray:
     return 2 * i + b.sides(key)[0] if key in ("link", "load", "loading") else i
 
 
-def telling(found: Sequence[ResidualSeries]) -> tuple[ResidualSeries, str, float] | None:
-    """The balance and variable that give most of the discrepancy away, with the share explained; None without any.
-
-    In terms of what exceeds the noise: a variable that explains everything of a balance that is quiet gives nothing away.
-    """
-    best, told = 0.3, None
+def strongest_variable(found: Sequence[ResidualSeries]) -> tuple[ResidualSeries, str, float] | None:
+    """Return the balance and variable that explain most above the noise, with the share explained; None if there is none."""
+    best, found_best = 0.3, None
     for b in found:
         excess = float(np.mean(b.before**2)) / max(b.noise**2, 1e-30)
         for key in VARIABLES:
             share = explained(b, b.before, key)
             if share * excess > best:
-                best, told = share * excess, (b, key, share)
-    return told
+                best, found_best = share * excess, (b, key, share)
+    return found_best
 
 
 def means(x: np.ndarray, r: np.ndarray, limits: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

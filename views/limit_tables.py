@@ -1,24 +1,30 @@
-"""Tables of what is possible and of tuning, for the terminal and as rows of text."""
+"""Tables and files of `flexspline bound` and `flexspline tune`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from ..models.files import write_into_place, write_rows
+from ..models.tables import write_table
 from .tables import heading, narrow_table
 
 if TYPE_CHECKING:
-    from ..estimator.consistency import Mean
     from ..scenarios.evaluation.limits import Limits
     from ..scenarios.evaluation.tuning import Tuned
 
-LIMIT_HEADS = ("estimator", "RMS [N·m]", "/ bound", "NIS", "95 %", "NEES", "95 %", "inside [%]", "ρ outside [%]")
-"""Columns of `limit_rows`."""
+SUMMARY = (
+    "scenario", "estimator", "causal", "seeds", "rms", "rms_std", "bound", "ratio", "bound_paper_model", "tolerance",
+    "bound_tolerance", "intensity",
+    "nis", "nis_low", "nis_high", "nees", "nees_low", "nees_high", "nees_inside", "outside_white_band", "ljung_box_p",
+)  # fmt: skip
+"""Columns of the summary; errors and bounds [N·m], intensity [N·m/√s]."""
 TUNED_HEADS = (
     "filter", "training, default [N·m]", "training, tuned [N·m]", "test, default [N·m]", "test, tuned [N·m]",
     "difference [N·m], 95 %", "tuning parameters",
@@ -26,53 +32,80 @@ TUNED_HEADS = (
 """Columns of `tuned_rows`."""
 
 
-def limit_rows(limits: Limits) -> list[tuple[str, ...]]:
-    """A row of text per estimator, `LIMIT_HEADS`; the smallest error first."""
-    rows: list[tuple[str, ...]] = []
-    for e in sorted(limits.estimators, key=lambda e: np.nan_to_num(e.mean_rms, nan=np.inf)):
-        rows.append(
-            (
-                e.name if e.causal else f"{e.name} (not causal)", number(e.mean_rms, 4), number(limits.ratio(e.name), 2),
-                *_mean(e.nis), *_mean(e.nees),
-                "–" if e.nees_share is None else f"{100 * e.nees_share:.0f}",
-                "–" if e.outside is None else f"{100 * e.outside:.0f}",
-            )
-        )  # fmt: skip
-    return rows
+def summary_rows(found: Sequence[Limits]) -> Iterator[dict[str, Any]]:
+    """Yield a row per scenario and estimator, by `SUMMARY`; None where a metric is not defined."""
+    for limits in found:
+        for e in limits.estimators:
+            spread = float(np.std(e.rms, ddof=1)) if len(e.rms) > 1 else None
+            row = [
+                limits.scenario, e.name, e.causal, len(limits.seeds), e.mean_rms, spread, limits.bound_rms,
+                limits.ratio(e.name), limits.torsion_bound_rms, limits.tolerance,
+                limits.tolerance_bound_rms if limits.tolerance > 0.0 else None, limits.intensity,
+            ]  # fmt: skip
+            for mean in (e.nis, e.nees):
+                row += [None, None, None] if mean is None else [mean.value, mean.low, mean.high]
+            yield dict(zip(SUMMARY, [*row, e.nees_share, e.outside, e.whiteness], strict=True))
+
+
+def write_summary(found: Sequence[Limits], path: Path) -> None:
+    """Write `summary_rows` as CSV."""
+    write_rows(path, list(summary_rows(found)), SUMMARY)
+
+
+def write_limits(limits: Limits, path: Path) -> None:
+    """Write errors, bounds and NEES over time as Parquet, with units in the metadata."""
+    columns = {
+        "time": ("s", limits.time),
+        "bound": ("N·m", limits.bound),
+        "bound_paper_model": ("N·m", limits.torsion_bound),
+    }
+    if limits.tolerance > 0.0:
+        columns["bound_tolerance"] = ("N·m", limits.tolerance_bound)
+    for e in limits.estimators:
+        if e.error.size:
+            columns[f"error_{e.name}"] = ("N·m", e.error)
+        if e.nees_over_time is not None:
+            columns[f"nees_{e.name}"] = ("1", e.nees_over_time)
+    with write_into_place(path) as temporary:
+        units = {name: unit for name, (unit, _) in columns.items()}
+        write_table(temporary, {name: values for name, (_, values) in columns.items()}, units)
 
 
 def limits_table(limits: Limits) -> Table:
-    """A scenario's estimators beside the bound, for the terminal: NIS and NEES above their intervals."""
+    """Return a scenario's estimators and the bound for the terminal, the smallest error first."""
+    tolerant = ""
+    if limits.tolerance > 0.0:
+        tolerant = f", for a joint within {limits.tolerance:g} × its tolerances {limits.tolerance_bound_rms:.4f} N·m"
     table = narrow_table(
         f"{limits.scenario}: {len(limits.seeds)} seeds, bound {limits.bound_rms:.4f} N·m (external torque a random walk of "
-        f"{limits.intensity:.3g} N·m/√s), bound of the paper's model {limits.torsion_bound_rms:.4f} N·m"
-        + (
-            f", bound for a joint within {limits.tolerance:g} × its tolerances {limits.tolerance_bound_rms:.4f} N·m"
-            if limits.tolerance > 0.0
-            else ""
-        ),
-        "bound: of a joint that is known exactly, averaged over the seeds' truths, encoders' counts taken for Gaussian noise: a "
-        "single run may come out below; times bound: RMS in units of it; NIS, NEES with 95 % intervals: 1 where a filter knows "
-        "its covariance, above: it trusts itself too much; inside: share of time in which NEES over seeds is in its interval; ρ "
-        "outside: lags beyond the band of white innovations, 5 % is white",
+        f"{limits.intensity:.3g} N·m/√s), of the paper's model {limits.torsion_bound_rms:.4f} N·m{tolerant}",
+        "bound: for an exactly known joint, mean over the seeds' truths, encoder counts as Gaussian noise: a single run may be "
+        "below it; times bound: RMS relative to it; NIS, NEES with 95 % intervals: 1 if a filter's variance is right, above 1 "
+        "if it is too small; inside: share of time in which NEES over seeds is in its interval; ρ outside: lags beyond the band "
+        "of white innovations, 5 % is white",
     )
     heads = [("estimator", ""), ("RMS", "N·m"), ("times bound", ""), ("NIS 95\u00a0%", ""), ("NEES 95\u00a0%", ""),
              ("inside", "%"), ("ρ\u00a0outside", "%")]  # fmt: skip
     for i, (words, unit) in enumerate(heads):
         text = heading(words, unit, "right" if i else "left")
         table.add_column(text, justify="right" if i else "left", no_wrap=i > 0, overflow="fold", vertical="top")
-    for name, rms, ratio, nis, nis_interval, nees, nees_interval, inside, outside in limit_rows(limits):
-        cells = name.replace(" (", "\n("), rms, ratio, *_stacked(nis, nis_interval), *_stacked(nees, nees_interval)
-        table.add_row(*(Text(cell) for cell in (*cells, inside, outside)))
+    for row in sorted(summary_rows([limits]), key=lambda row: np.nan_to_num(row["rms"], nan=np.inf)):
+        name = row["estimator"] + ("" if row["causal"] else "\n(not causal)")
+        cells = (name, number(row["rms"], 4), number(row["ratio"], 2), _stacked(row, "nis"), _stacked(row, "nees"))
+        shares = ("–" if row[key] is None else f"{100 * row[key]:.0f}" for key in ("nees_inside", "outside_white_band"))
+        table.add_row(*(Text(cell) for cell in (*cells, *shares)))
     return table
 
 
-def _stacked(value: str, interval: str) -> tuple[str]:
-    return (value if value == "–" else f"{value}\n{interval}",)
+def _stacked(row: Mapping[str, Any], key: str) -> str:
+    """A mean above its interval."""
+    if row[key] is None:
+        return "–"
+    return f"{row[key]:.2f}\n{row[f'{key}_low']:.2f}–{row[f'{key}_high']:.2f}"
 
 
 def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
-    """A row of text per filter, `TUNED_HEADS`; the smallest tuned error first."""
+    """Return a row of text per filter, `TUNED_HEADS`; the smallest tuned error first."""
     rows = []
     for one in sorted(found, key=lambda one: one.tuned_score):
         change = one.difference
@@ -86,10 +119,10 @@ def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
 
 
 def tuned_table(found: Sequence[Tuned], title: str) -> Table:
-    """Default above tuned filters on training and test seeds, for the terminal."""
+    """Return default and tuned filters on training and test seeds for the terminal."""
     table = narrow_table(
         title,
-        "RMS error, default above tuned; difference: tuned less default on the same test runs, mean and 95 % interval over "
+        "RMS error, default above tuned; difference: tuned minus default on the same test runs, mean and 95 % interval over "
         "seeds; ! at the end of its range",
     )
     heads = [("filter", ""), ("training", "N·m"), ("test", "N·m"), ("difference", "N·m"), ("tuning parameters", "")]
@@ -102,18 +135,6 @@ def tuned_table(found: Sequence[Tuned], title: str) -> Table:
     return table
 
 
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], left: bool = False) -> str:
-    """A Markdown table; the first column to the left, the others to the right, or all to the left."""
-    lines = [f"| {' | '.join(heads)} |", "|---|" + ("---|" if left else "---:|") * (len(heads) - 1)]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
-
-
 def number(value: float, decimals: int) -> str:
-    """A number as text; `diverged` where it is none or a filter's error is out of all proportion."""
+    """Return a number as text; `diverged` if it is not finite or impossibly large."""
     return f"{value:.{decimals}f}" if math.isfinite(value) and value < 1e5 else "diverged"
-
-
-def _mean(mean: Mean | None) -> tuple[str, str]:
-    if mean is None:
-        return "–", "–"
-    return f"{mean.value:.2f}", f"{mean.low:.2f}–{mean.high:.2f}"

@@ -1,14 +1,17 @@
-"""What a report of a diagnosis holds, and its verdict in words; pages and recordings are made of it."""
+"""A diagnosis in words, the same for the terminal, the page and the recording."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..models import causes
+from .advice import advice
+from .numbers import percent
+from .tables import markdown_table
 
 if TYPE_CHECKING:
     from ..diagnosis.answer import Diagnosis, Finding
@@ -17,15 +20,19 @@ if TYPE_CHECKING:
     from ..models.joint import Joint
     from ..models.recording import Measurement
 
+HELD_OUT = ("channel", "before", "after", "noise")
+REGIONS = ("region", "description", "extended joint")
+"""Headings of `held_out_rows` and `region_rows`."""
+
 
 @dataclass(frozen=True)
 class Report:
     """What a report shows.
 
     Attributes:
-      measurement, joint: what was measured, and the description that diagnosis was given.
-      diagnosis, improvement, plan: what came out; no plan where none was asked for or nothing was computed.
-      folder: where the report lies, as one would type it; `DIR` where that is not known.
+      measurement, joint: the measurement, and the description that the diagnosis started from.
+      diagnosis, improvement, plan: results; None where they were not asked for or not computed.
+      folder: of the report, as one would type it; None where it is not known.
     """
 
     measurement: Measurement
@@ -36,79 +43,113 @@ class Report:
     folder: Path | None = None
 
 
-def look_alikes(pairs: Sequence[Sequence[str]]) -> list[tuple[str, list[str]]]:
-    """Pairs of causes that look alike, by cause: first the one that most look like, with those; each pair once."""
+def verdict_sentence(d: Diagnosis) -> str:
+    """Return the verdict in one sentence, with the physical meaning of each cause."""
+    if d.verdict == "inconclusive":
+        return f"This measurement is inconclusive{f': {d.reasons[0]}' if d.reasons else ''}."
+    if not d.causes:
+        blind = len(d.undetermined)
+        rest = f"; {blind} cause{'s' if blind > 1 else ''} could not have shown" if blind else ""
+        return f"The joint behaves as its description says, within its tolerances{rest}."
+    text = listed([f"{advice(c, d.extended).sentence} ({percent(c.confidence)} sure)" for c in d.causes])
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def gravity_sentence(d: Diagnosis, gained: Improvement | None) -> str:
+    """Return how grave the causes are: share of the error, of the rated torque, and of an estimator's error."""
+    if not d.causes:
+        return ""
+    whole, one = min(sum(c.explains for c in d.causes), 1.0), len(d.causes) == 1
+    largest = max(d.causes, key=lambda c: c.worth)
+    text = (
+        f"{'This explains' if one else 'Together they explain'} {percent(whole)} of the error after calibration; "
+        f"{'it' if one else title(largest)} makes the simulation wrong by {_torque(largest.worth, d)}."
+    )
+    if gained is not None and gained.main in gained.errors:
+        before, after = gained.errors[gained.main]
+        text += f" The torque error of {plain(gained.main)} goes from {before:.3f} to {after:.3f} N·m with the extended joint."
+    return text
+
+
+def further_reasons(d: Diagnosis) -> tuple[str, ...]:
+    """Return the reasons that `verdict_sentence` does not have."""
+    return d.reasons[1:] if d.verdict == "inconclusive" else d.reasons
+
+
+def share_line(c: Finding, d: Diagnosis) -> str:
+    """Return confidence and size of a finding."""
+    text = (
+        f"{percent(c.confidence)} sure, explains {percent(c.explains)}, {_torque(c.worth, d)} of the simulation's error"
+    )
+    return text + ("" if math.isnan(c.estimation) else f" and {c.estimation:.2g} N·m of the estimates'")
+
+
+def _torque(value: float, d: Diagnosis) -> str:
+    rated = d.extended.numbers["rated_torque"].value
+    return f"{value:.2g} N·m RMS ({100 * value / rated:.2g} % of the rated torque)"
+
+
+def advice_lines(c: Finding, d: Diagnosis) -> list[str]:
+    """Return usual origin, check and remedy of a finding, a line each; none for a cause without advice."""
+    found = advice(c, d.extended)
+    named = (("usual origin", found.typical), ("check", found.check), ("remedy", found.do))
+    return [f"{name}: {text}" for name, text in named if text]
+
+
+def held_out_rows(d: Diagnosis, gained: Improvement | None) -> list[tuple[str, float, float, float, str]]:
+    """Return name, errors before and after [unit], noise and unit, of every channel and estimator."""
+    rows = [(plain(name), r.before, r.after, r.noise, r.unit) for name, r in d.residual.items()]
+    if gained is not None:
+        errors = gained.errors.items()
+        rows += [(f"estimate, {plain(name)}", *pair, gained.noise, "N·m") for name, pair in errors]
+    return rows
+
+
+def confused_with(pairs: Sequence[Sequence[str]]) -> list[tuple[str, list[str]]]:
+    """Group pairs of confused causes by the cause with most partners; each pair occurs once."""
     left, found = [tuple(pair) for pair in pairs], []
     while left:
         counts = Counter(name for pair in left for name in pair)
         most = max(counts, key=lambda name: counts[name])
-        found.append((most, [a if b == most else b for a, b in left if most in (a, b)]))
+        found.append((plain(most), [plain(a if b == most else b) for a, b in left if most in (a, b)]))
         left = [pair for pair in left if most not in pair]
     return found
 
 
-def verdict_sentence(d: Diagnosis) -> str:
-    """The verdict in one sentence; why else, and what holds it back, is `further_reasons`."""
-    if d.verdict == "inconclusive":
-        reason = f": {d.reasons[0]}" if d.reasons else ""
-        return f"This measurement cannot tell{reason}."
-    if not d.causes:
-        blind = len(d.undetermined)
-        left = f"; {blind} cause{'s' if blind > 1 else ''} could not have shown" if blind else ""
-        return f"The joint behaves as its description says, within its tolerances{left}."
-    parts = [f"{title(c)} ({c.component}, {100 * c.confidence:.0f} % sure)" for c in d.causes]
-    whole = min(sum(c.explains for c in d.causes), 1.0)
-    return (
-        f"The joint differs from its description by {listed(parts)}, which "
-        f"{'explains' if len(parts) == 1 else 'explain'} {100 * whole:.0f} % of what calibration leaves."
-    )
-
-
-def further_reasons(d: Diagnosis) -> tuple[str, ...]:
-    """A diagnosis's reasons beside the one that its verdict in a sentence has."""
-    return d.reasons[1:] if d.verdict == "inconclusive" else d.reasons
-
-
 def title(c: Finding) -> str:
-    """A cause's name for people."""
+    """Return a cause's name for people."""
     return "an effect that no known cause explains" if c.name == "unknown" else plain(c.name)
 
 
 def plain(name: str) -> str:
-    """A name for people."""
+    """Return a name without underscores."""
     return name.replace("_", " ")
 
 
 def listed(parts: list[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Return `a`, `a and b`, `a, b and c`."""
     return " and ".join([*([", ".join(parts[:-1])] if len(parts) > 1 else []), *parts[-1:]])
 
 
 def markdown(report: Report) -> str:
-    """The verdict and its tables, short, in Markdown."""
-    d = report.diagnosis
-    lines = [f"# {d.verdict}", verdict_sentence(d), "", *(f"- {reason}" for reason in further_reasons(d)), ""]
-    for m in d.mistakes:
-        lines.append(f"- mistake in the data, {plain(m.name)}: {m.description}")
+    """Return the verdict and its tables as short Markdown."""
+    d, gained = report.diagnosis, report.improvement
+    lines = [f"# {d.verdict}", verdict_sentence(d), "", gravity_sentence(d, gained), ""]
+    lines += [f"- {reason}" for reason in further_reasons(d)]
+    lines += [f"- mistake in the data, {plain(m.name)}: {m.description}" for m in d.mistakes]
     for c in d.causes:
-        lines.append(f"## {title(c)}")
-        lines.append(c.description or causes.get(c.name).description)
-        lines += [f"- {name}: {p.value:.4g} ± {p.std:.2g} {p.unit}" for name, p in c.parameters.items()]
+        lines += [f"## {title(c)}", share_line(c, d), *(f"- {line}" for line in advice_lines(c, d))]
     if d.minor:
-        lines += ["", "There, but no causes of their own: " + ", ".join(title(c) for c in d.minor)]
+        lines += ["", f"Minor effects: {', '.join(title(c) for c in d.minor)}"]
     if d.residual:
-        lines += ["", "## Held out", "| channel | before | after | noise |", "|---|---:|---:|---:|"]
-        lines += [f"| {k} [{x.unit}] | {x.before:.4g} | {x.after:.4g} | {x.noise:.4g} |" for k, x in d.residual.items()]
+        rows = [(f"{k} [{u}]", f"{a:.4g}", f"{b:.4g}", f"{n:.4g}") for k, a, b, n, u in held_out_rows(d, gained)]
+        lines += ["", "## RMS error on held-out data", markdown_table(HELD_OUT, rows)]
     if d.regions:
-        lines += ["", "## Not seen by the fit [N·m]", "| region | described | extended |", "|---|---:|---:|"]
-        lines += [f"| {r.name} | {r.described:.3g} | {r.unseen:.3g} |" for r in d.regions]
-    if report.improvement is not None:
-        lines += ["", "## Torque error [N·m]", "| estimator | before | after |", "|---|---:|---:|"]
-        lines += [f"| {k} | {a:.3f} | {b:.3f} |" for k, (a, b) in report.improvement.errors.items()]
+        regions = [(r.name, f"{r.described:.3g}", f"{r.unseen:.3g}") for r in d.regions]
+        lines += ["", "## RMS error in regions that no fit saw [N·m]", markdown_table(REGIONS, regions)]
     if d.confusable:
-        groups = (f"{name} from {', '.join(others)}" for name, others in look_alikes(d.confusable))
-        lines += ["", "Cannot be told apart: " + "; ".join(groups)]
+        groups = (f"{name} with {', '.join(others)}" for name, others in confused_with(d.confusable))
+        lines += ["", f"Confounded in this measurement: {'; '.join(groups)}"]
     if d.undetermined:
-        lines += ["", "Could not have shown: " + ", ".join(d.undetermined)]
-    lines += ["", "*simulated*: the calibrated joint; *extended*: with the causes in it."]
-    return "\n".join(lines)
+        lines += ["", f"Could not have shown: {', '.join(map(plain, d.undetermined))}"]
+    return "\n".join([*lines, "", "*simulated*: the calibrated joint; *extended*: with the causes in it."])

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .style import filter_colors
-from .tables import COLUMNS, Column, narrow_table
+from .tables import COLUMNS, Column, markdown_table, narrow_table
 
 if TYPE_CHECKING:
     from ..scenarios.studies.statistics import Aggregate, Interval
@@ -156,12 +156,11 @@ def sweep_markdown(aggregates: Sequence[Aggregate], study: Study) -> str:
     for metric in study.metrics:
         column = metric_column(metric)
         lines += [f"## {column.title}", "", f"{column.meaning[0].upper()}{column.meaning[1:]}.", ""]
-        lines.append("| " + " | ".join(("scenario", *axes, *study.names)) + " |")
-        lines.append("|---|" + "---:|" * (len(axes) + len(study.names)))
-        for scenario, columns, of in sweep_rows(aggregates):
-            cells = [cell(of.get(name), metric, column) for name in study.names]
-            lines.append("| " + " | ".join((scenario, *(value_text(columns[a]) for a in axes), *cells)) + " |")
-        lines.append("")
+        rows = [
+            (scenario, *(value_text(columns[a]) for a in axes), *(cell(of.get(n), metric, column) for n in study.names))
+            for scenario, columns, of in sweep_rows(aggregates)
+        ]
+        lines += [markdown_table(("scenario", *axes, *study.names), rows), ""]
     return "\n".join(lines)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -173,14 +173,18 @@ def comparison_markdown(metrics: Mapping[str, Mapping], keys: Sequence[str] = ()
         for row in comparison_rows(metrics)
     ]
     lines = [
-        "| " + " | ".join(heads) + " |",
-        "|---" * len(first) + "|" + "---:|" * len(chosen),
-        *("| " + " | ".join(row) + " |" for row in rows),
+        markdown_table(heads, rows, len(first)),
         "",
         *(f"{line}.\n" for line in doubts(metrics)),
         "; ".join(f"*{COLUMNS[k].heading}*: {COLUMNS[k].meaning}" for k in chosen) + ".",
     ]
     return "\n".join(lines) + "\n"
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
+    """Return a Markdown table; `left`: columns that are aligned to the left, from the first one."""
+    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * left + "---:|" * (len(heads) - left)]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 _COMPARED = ("rms", "max", "noise_ratio", "delay_ms", "response_ms")

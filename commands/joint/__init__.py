@@ -1,1 +1,1 @@
-"""Describe a joint of your own: make a description from datasheets, check one, look at one. See docs/joints.md."""
+"""Describe your joint: make a description from datasheets, check it, look at it. See docs/joints.md."""

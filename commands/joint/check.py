@@ -1,4 +1,4 @@
-"""`flexspline joint check`: all that is wrong with a description."""
+"""`flexspline joint check`: all errors of a description."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def command(
     joint: Annotated[str, typer.Argument(help="A joint description, or the name of a shipped one.", metavar="FILE")],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
 ) -> None:
-    """Check a joint description: all errors at once, a line each, and warnings where no maker makes it so.
+    """Check a joint description: print all errors, and warnings of implausible values, a line each.
 
-    Exit code 2 where there are errors: commands refuse the file, or its numbers contradict each other. Warnings leave it 0.
+    Exit code 2 if there are errors: commands refuse the file, or its numbers contradict each other.
     """
     from ...models.joint_check import check
 
@@ -48,7 +48,7 @@ def command(
 
 
 def line(path: Path, problem: Fault) -> str:
-    """A problem as it is printed, with the meaning of its symbol."""
+    """Return a problem as a line, with the meaning of its symbol."""
     from ...models.errors import one_line
     from ...models.files import place
     from ...models.joint import SYMBOLS

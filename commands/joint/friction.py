@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .._measurement import parted_measurement
+from .._measurement import load_measurement
 from .._options import ResultFolder, with_plugins
 
 EXAMPLES = (
@@ -20,13 +20,13 @@ EXAMPLES = (
 def command(
     joint: Annotated[str, typer.Argument(help="Name of a shipped joint, or a joint description.", metavar="JOINT")],
     out: ResultFolder,
-    measurement: Annotated[Path | None, typer.Option(help="measurement that its feed-forward is held against")] = None,
+    measurement: Annotated[Path | None, typer.Option(help="measurement to test the feed-forward with")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
 ) -> None:
-    """Write friction over speed, load and temperature, with driving and back-driving efficiency: a CSV, and a C function.
+    """Write friction over speed, load and temperature, with driving and back-driving efficiency, as CSV and C function.
 
-    `friction.csv` is the map with standard deviations; `friction.c` the same in closed form, to add to a controller's torque.
-    With `--measurement` its error is the RMS of the current on held-out motion, with and without the feed-forward.
+    `friction.csv` is the map with standard deviations; `friction.c` is the same in closed form, to add to a controller's torque.
+    With `--measurement`, the RMS current error on held-out motion is reported, with and without the feed-forward.
     """
     import pandas as pd
 
@@ -37,7 +37,7 @@ def command(
 
     described = load_joint(joint)
     maker, names = made_from("friction", joint), ["friction.csv", "friction.c"]
-    data = parted_measurement(measurement, joint)[0] if measurement is not None else None
+    data = load_measurement(measurement, joint)[0] if measurement is not None else None
     inputs = data.files if data is not None else []
     check_output(out, maker, inputs=inputs, writes=names)
     found = friction_map(described)

@@ -1,4 +1,4 @@
-"""`flexspline joint new`: a description from what datasheets have."""
+"""`flexspline joint new`: a description from datasheets."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ASKED = {
     "motor_encoder": ("--motor-encoder", "Motor encoder: counts per turn (4096) or bits (12 bit)"),
     "link_encoder": ("--link-encoder", "Link encoder: counts per turn or bits (20 bit)"),
 }
-"""What a datasheet has and no rule can give: option, question."""
+"""Values that only a datasheet has: option and question."""
 
 EXAMPLES = (
     'flexspline joint new --gear CSG-14-100 --torque-constant "57 mNm/A" --resistance 1.56 --inductance "0.6 mH"'
@@ -42,20 +42,20 @@ def command(
     motor_encoder: Annotated[str | None, typer.Option(help="Counts per turn, `4096`, or bits, `12 bit`.")] = None,
     link_encoder: Annotated[str | None, typer.Option(help="Counts per turn or bits, `20 bit`.")] = None,
     motor: Annotated[str, typer.Option(help="Name of the motor, for the sources.")] = "",
-    name: Annotated[str, typer.Option(help="Of the joint; the gear's by default.")] = "",
+    name: Annotated[str, typer.Option(help="Of the joint; by default that of the gear.")] = "",
     description: Annotated[str, typer.Option(help="A sentence for people.")] = "",
     inertia: Annotated[
-        float | None, typer.Option(min=0, help="Of what is bolted on, about the axis [kg·m²]; by the size by default.")
+        float | None, typer.Option(min=0, help="Of the payload, about the axis [kg·m²]; by default from the size.")
     ] = None,
     gravity_moment: Annotated[
-        float | None, typer.Option(min=0, help="Of what is bolted on, at horizontal [N·m]; by the size by default.")
+        float | None, typer.Option(min=0, help="Of the payload, at horizontal [N·m]; by default from the size.")
     ] = None,
     changes: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             metavar="SYMBOL=VALUE",
-            help="Any other number that is known: `current_limit=6 A`, `K1=31000`. Repeatable.",
+            help="Any other known number: `current_limit=6 A`, `K1=31000`. Repeatable.",
         ),
     ] = None,
     sources: Annotated[
@@ -66,20 +66,17 @@ def command(
         typer.Option(
             "--tolerance",
             metavar="SYMBOL=SHARE",
-            help="How well it is known, `Jm=0.3`; above 0.5 a factor: `bw=2` is known within a factor of 3. Repeatable.",
+            help="Relative standard deviation, `Jm=0.3`; above 0.5 a factor: `bw=2` is known within a factor of 3. Repeatable.",
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; NAME.yaml by default.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Make a joint description from the datasheets of gear, motor and encoders; at a terminal it asks for what is not given.
+    """Make a joint description from the datasheets of gear, motor and encoders; at a terminal it asks for missing values.
 
-    Numbers without a unit are SI. What no datasheet has is filled by rules of scale with wide tolerances; the command says which
-    and by which rule, and so does the file. Example:
-
-    `flexspline joint new --gear CSG-14-100 --torque-constant "57 mNm/A" --resistance 1.56 --inductance "0.6 mH"
-    --rotor-inertia "181 gcm²" --motor-encoder 4096 --link-encoder "20 bit"`
+    Numbers without a unit are SI. Other numbers are filled by rules of scale with wide tolerances; the command and the file list
+    them with the rule.
     """
     from ...models.datasheet import Datasheet, new_joint, quantity, write_joint
     from ...models.joint_check import check
@@ -165,7 +162,7 @@ def _share(symbol: str, text: str) -> float:
 
 
 def _spread(tolerance: float) -> str:
-    """A tolerance for people: a share, or the factor that a wide one is."""
+    """Return a tolerance as a percentage, or as a factor if it is wide."""
     from ...models.calibration import NARROW
 
     if not tolerance:

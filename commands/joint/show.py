@@ -1,4 +1,4 @@
-"""`flexspline joint show`: what a description comes to."""
+"""`flexspline joint show`: properties of a joint."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def command(
     out: Annotated[Path | None, typer.Option(help="Write the figure to this file, .png.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
 ) -> None:
-    """Show a joint: stiffness, hysteresis, friction over speed, resonances, what encoders resolve, what diagnosis could see.
+    """Show a joint: stiffness, hysteresis, friction, resonances, resolution of the encoders, detectable causes.
 
-    It is readable in 80 columns; `--out joint.png` draws it.
+    `--out joint.png` draws it.
     """
     from ...models.characteristics import characteristics
     from ...models.joint import load_joint
@@ -63,7 +63,7 @@ def _plain(value: Any) -> Any:
 
 
 def _seen(joint: Joint) -> dict[str, list[str]]:
-    """Causes by what a diagnosis could make of them, from recordings of both encoders and the motor current."""
+    """Return causes by the channels that a diagnosis needs to detect them."""
     from ...diagnosis.trials.draw import drowned
     from ...models import causes
     from ...models.signals import CHANNELS, POSITIONS
@@ -73,9 +73,9 @@ def _seen(joint: Joint) -> dict[str, list[str]]:
     for name in causes.of(joint):
         needs = [n for n in causes.get(name).needs if n not in (*POSITIONS, "motor_current")]
         if name in hidden:
-            what = "not to be told from the description's tolerances at ordinary size"
+            what = "masked by the description's tolerances at ordinary size"
         elif needs:
-            what = f"with {' and '.join(CHANNELS[n].name.replace('_', ' ') for n in needs)} besides"
+            what = f"also with {' and '.join(CHANNELS[n].name.replace('_', ' ') for n in needs)}"
         else:
             what = usual
         found.setdefault(what, []).append(name)

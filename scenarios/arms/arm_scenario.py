@@ -177,5 +177,5 @@ def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | N
     where = f"scenario {scenario.name}"
     data = scenario.written() | ({} if seed is None else {"seed": seed})
     put_all(data, changes, where)
-    at_hand = {f"arm.{i}.{key}": one for i, j in enumerate(scenario.arm) for key, one in j.joints_at_hand.items()}
-    return parse(data, ArmScenario, where).with_joints({k: one for k, one in at_hand.items() if k not in changes})
+    given_joints = {f"arm.{i}.{key}": one for i, j in enumerate(scenario.arm) for key, one in j.given_joints.items()}
+    return parse(data, ArmScenario, where).with_joints({k: one for k, one in given_joints.items() if k not in changes})

@@ -1,11 +1,12 @@
-"""How far each estimator is from what is possible, and whether it knows: error beside the bound, NIS, NEES, whiteness."""
+"""Errors of estimators relative to the Cramér-Rao bound, and consistency of their variances: NIS, NEES, whiteness."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from ..scenario import Disturbance, Scenario
 from .draws import of_seed
 
 BIN = 0.1
-"""Time [s] over which errors are averaged to be shown over time."""
+"""Time [s] over which errors are averaged for curves over time."""
 LAGS = 50
 """Lags of the innovations' autocorrelation, samples."""
 _UNSEEN = ("link_encoder_zero", "current_offset", "torque_sensor_gain", "torque_sensor_offset")
@@ -33,18 +34,18 @@ _APART = 0.25  # s: errors this far apart count for NEES; the slowest filter for
 
 @dataclass(frozen=True)
 class Assessment:
-    """What one estimator is worth in a scenario over M seeds.
+    """Errors and consistency of one estimator in a scenario over M seeds.
 
     Attributes:
-        name: of the estimator. causal: whether it uses nothing later.
+        name: of the estimator. causal: whether it uses no later samples.
         rms: Shape (M,), RMS error of each seed after the transient [N·m]; NaN where it diverged.
         error: Shape (B,), RMS error over seeds in each time bin [N·m].
-        nis: mean normalised innovation squared with its interval; None where it states no innovations.
-        nees: mean normalised error squared; None where it states no variance. Only one error per run counts as independent
-            for its interval: errors are correlated in time.
-        nees_over_time: Shape (B,), mean over seeds of the NEES at one sample of each bin; None likewise.
-        nees_share: share of those bins in which that mean lies within its 95 % interval; None likewise.
-        autocorrelation: Shape (LAGS,), of the normalised innovations of the channel that is least white, mean over seeds.
+        nis: mean normalised innovation squared with its interval; None without innovations.
+        nees: mean normalised error squared; None without a variance. Errors are correlated in time: only one per run counts as
+            independent for the interval.
+        nees_over_time: Shape (B,), mean over seeds of the NEES at one sample of each bin.
+        nees_share: share of these bins in which that mean lies within its 95 % interval.
+        autocorrelation: Shape (LAGS,), of the normalised innovations of the least white channel, mean over seeds.
         outside: share of lags outside the band of white innovations of one run, mean over seeds; 0.05 is expected.
         whiteness: mean over seeds of the Ljung-Box probability.
     """
@@ -69,19 +70,19 @@ class Assessment:
 
 @dataclass(frozen=True)
 class Limits:
-    """Estimators beside the bounds, in one scenario.
+    """Estimators and the bounds in one scenario.
 
     Attributes:
-        scenario: its name. seeds: Shape (M,). time: Shape (B,), middles of the bins [s]. transient: left out of RMS [s].
-        intensity: of the external torque's random walk in the joint's model [N·m/√s]; `fitted`: what the scenario gave.
+        scenario: its name. seeds: Shape (M,). time: Shape (B,), middles of the bins [s]. transient: not part of RMS [s].
+        intensity: of the external torque's random walk in the joint's model [N·m/√s]; fitted: that of the scenario.
         bound: Shape (B,), square root of the bound of the error variance [N·m], joint's dynamics with encoders and command.
-        bound_rms: of it after the transient [N·m].
-        torsion_bound, torsion_bound_rms: likewise for the paper's model: the joint torque as a random walk of intensity
+        bound_rms: its RMS after the transient [N·m].
+        torsion_bound, torsion_bound_rms: for the paper's model: the joint torque as a random walk of intensity
             `torsion_intensity` [N·m/√s], fitted to it, seen through the compliance model with the encoders' noise only.
-        tolerance: share of the joint's tolerances with which nobody knows it better than described.
-        tolerance_bound, tolerance_bound_rms: the bound with these as prior, the link encoder's zero tared; NaN at 0.
+        tolerance: share of the joint's tolerances that are the prior of `tolerance_bound`.
+        tolerance_bound, tolerance_bound_rms: for a joint that is known within its tolerances; NaN at tolerance 0.
         band: half-width of the band of white innovations [1].
-        estimators: what each is worth.
+        estimators: their assessments.
     """
 
     scenario: str
@@ -102,20 +103,19 @@ class Limits:
     estimators: tuple[Assessment, ...]
 
     def ratio(self, name: str) -> float:
-        """RMS error of an estimator in units of the bound."""
+        """Return the RMS error of an estimator relative to the bound."""
         return next(e for e in self.estimators if e.name == name).mean_rms / self.bound_rms
 
 
 def matched(scenario: Scenario, intensity: float) -> Scenario:
-    """The scenario with its disturbances replaced by the random walk of the bound's model, another for each seed."""
-    walk = Disturbance(
-        kind="walk", start=0.0, duration=scenario.duration, torque=intensity * np.sqrt(scenario.duration)
-    )
+    """Return the scenario with the random walk of the bound's model as its only disturbance, new for each seed."""
+    torque = intensity * np.sqrt(scenario.duration)
+    walk = Disturbance(kind="walk", start=0.0, duration=scenario.duration, torque=torque)
     return scenario.model_copy(update={"disturbances": [walk]})
 
 
 def fitted_intensity(scenario: Scenario) -> float:
-    """Intensity [N·m/√s] of the random walk that changes as much as the scenario's external torque (`bound.walk_intensity`)."""
+    """Return the intensity [N·m/√s] of the random walk that changes as much as the scenario's external torque."""
     return bound.walk_intensity(scenario.external_torque(), scenario.time)
 
 
@@ -129,20 +129,19 @@ def assess(
     progress: Callable[[], None] = lambda: None,
     vary: bool = True,
 ) -> Limits:
-    """Run a scenario with every seed and hold every estimator against the bounds.
+    """Run a scenario with every seed and compare every estimator with the bounds.
 
     Args:
-        scenario: without torque feedback, so that all estimators see the same.
+        scenario: without torque feedback, so that all estimators see the same signals.
         folder: of the scenario's file.
         seeds: one or more.
         estimators: by name.
-        intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario, and at least
-            0.001·T2, a joint whose load is known to 1 % after 40 s: nobody knows that nothing acts. What is drawn is fitted
-            together, as the root mean square of the seeds' own.
-        tolerance: share of the joint's tolerances that are the prior of the second bound; 0 leaves it out.
+        intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario (root mean square over seeds),
+            and at least 0.001·T2, which means a load known to 1 % after 40 s.
+        tolerance: share of the joint's tolerances that are the prior of the second bound; 0 omits it.
         progress: called after each seed.
-        vary: whether start, pace and pushes are drawn per seed (`draws.varied`): seeds of the sensors' noise alone are no
-            independent runs, and intervals over them mean nothing.
+        vary: whether start, pace and pushes are drawn per seed (`draws.varied`). Seeds that change the sensors' noise alone are
+            not independent, and intervals over them are wrong.
 
     Raises:
         InputError: torque feedback, no seeds, or a joint whose bound is not defined.
@@ -158,7 +157,7 @@ def assess(
     if intensity is None:
         intensity = max(fitted, bound.QUIET.external * float(record[0]["T2"]))
 
-    collected = [_Collected(name, one) for name, one in estimators.items()]
+    results: dict[str, list[dict[str, Any]]] = {name: [] for name in estimators}
     others = doubtful(joint, scenario.mount(joint), tolerance)
     variances, torsion_variances, doubtful_variances, walks = [], [], [], []
     for one, seed in zip(drawn, seeds, strict=True):
@@ -168,11 +167,11 @@ def assess(
             doubtful_variances.append(joint_variance(run, record, intensity, others))
         walks.append(bound.walk_intensity(run.truth("joint_torque"), run.time))
         torsion_variances.append(torsion_variance(run, record, walks[-1]))
-        for each in collected:
-            each.add(run)
+        for name, estimator in estimators.items():
+            results[name].append(_result(estimator, run))
         progress()
     kept = run.time >= scenario.transient
-    size = round(BIN / (run.time[1] - run.time[0]))
+    size = _bin_size(run)
     v, t = np.mean(variances, axis=0), np.mean(torsion_variances, axis=0)
     d = np.mean(doubtful_variances, axis=0) if len(others) else np.full_like(v, np.nan)
     return Limits(
@@ -181,14 +180,14 @@ def assess(
         float(np.mean(walks)), np.sqrt(_binned(t, size)), float(np.sqrt(t[kept].mean())),
         tolerance, np.sqrt(_binned(d, size)), float(np.sqrt(d[kept].mean())),
         consistency.white_band(int(np.count_nonzero(kept))),
-        tuple(one.assessment() for one in collected),
+        tuple(_assessment(name, estimators[name], found) for name, found in results.items()),
     )  # fmt: skip
 
 
 def true_states(run: Run) -> np.ndarray:
-    """True states of a run, columns `joint_model.STATES`, shape (n, len(STATES)); hysteresis of the flexspline is left out."""
-    states = np.zeros((len(run.time), len(STATES)))
+    """Return true states of a run, columns `joint_model.STATES`, shape (n, len(STATES)), without hysteresis."""
     truth = run.simulation.truth
+    states = np.zeros((len(run.time), len(STATES)))
     for i, name in enumerate(STATES):
         if name == "external_torque":
             states[:, i] = run.external_torque
@@ -198,9 +197,9 @@ def true_states(run: Run) -> np.ndarray:
 
 
 def doubtful(joint: Joint, mounting: Mounting, tolerance: float) -> np.ndarray:
-    """Records of a joint with one number each a standard deviation off, shape (k,): `tolerance` times its tolerances.
+    """Return records of a joint with one number each changed by `tolerance` standard deviations, shape (k,).
 
-    The link encoder's zero is tared. Numbers that neither motion nor encoders show stay as they are.
+    The link encoder is zeroed. Numbers that neither motion nor encoders show are left out.
     """
     calibration = Calibration(joint)
     found = []
@@ -213,14 +212,19 @@ def doubtful(joint: Joint, mounting: Mounting, tolerance: float) -> np.ndarray:
 
 
 def joint_variance(run: Run, record: np.ndarray, intensity: float, others: np.ndarray | None = None) -> np.ndarray:
-    """Bound of the error variance along a run's truth, shape (n,) [(N·m)²]; `record`: of the plant; `others`: `doubtful`."""
+    """Return the bound of the error variance along a run's truth, shape (n,) [(N·m)²].
+
+    Args:
+        record: of the plant. intensity: of the external torque [N·m/√s]. others: of `doubtful`.
+    """
     noise = KnownJoint.of(run.joint).noise
     current, command = run.truth("motor_current"), run.simulation.command
     return bound.joint_bound(run.time, true_states(run), current, command, record, noise, intensity, others=others)
 
 
 def torsion_variance(run: Run, record: np.ndarray, intensity: float) -> np.ndarray:
-    """Bound for the paper's model, shape (n,): random walk of the joint torque, encoders' noise through the stiffness."""
+    """Return the bound for the paper's model, shape (n,): random walk of the joint torque, encoders' noise through the
+    stiffness."""
     p, noise = record[0], KnownJoint.of(run.joint).noise
     load = np.abs(run.truth("flexspline_torque"))
     stiffness = np.where(load < p["T1"], p["K1"], np.where(load < p["T2"], p["K2"], p["K3"]))
@@ -231,75 +235,62 @@ def torsion_variance(run: Run, record: np.ndarray, intensity: float) -> np.ndarr
     return bound.random_walk_bound(intensity**2 * (run.time[1] - run.time[0]), V, V[0])
 
 
+def _bin_size(run: Run) -> int:
+    return round(BIN / (run.time[1] - run.time[0]))
+
+
 def _binned(values: np.ndarray, size: int) -> np.ndarray:
-    """Means of `size` samples; a rest at the end is left out."""
+    """Means of `size` samples; an incomplete last bin is left out."""
     whole = len(values) // size * size
     return values[:whole].reshape(-1, size).mean(axis=1)
 
 
-class _Collected:
-    """What is kept of one estimator from seed to seed: a few numbers and curves, not the signals."""
+def _result(estimator: Estimator, run: Run) -> dict[str, Any]:
+    """Numbers and curves of one estimator with one seed; `rms` alone where it diverged."""
+    kept, size = run.time >= run.scenario.transient, _bin_size(run)
+    try:
+        estimate = estimator.estimate(run.signals, run.known)
+    except FilterDiverged:
+        return {"rms": np.nan}
+    error = estimate.mean - run.truth("joint_torque")
+    squares = _binned(error**2, size)
+    found: dict[str, Any] = {"rms": float(np.sqrt(np.mean(error[kept] ** 2))), "squares": squares}
+    if estimate.variance is not None:
+        nees = error**2 / np.maximum(estimate.variance, 1e-300)
+        # One sample per bin: those of different seeds are independent.
+        found["nees"] = nees[size // 2 :: size][: len(squares)]
+        found["nees_apart"] = nees[kept][:: round(_APART / (run.time[1] - run.time[0]))]
+    e, S = estimate.innovation, estimate.innovation_covariance
+    if e is not None and S is not None and estimator.causal:
+        e, S = e[kept], S[kept]
+        normal = e / np.sqrt(np.diagonal(S, axis1=1, axis2=2))
+        found["nis"] = float(np.mean(consistency.normalised_squares(e, S))), e.shape[1], len(e)
+        found["rho"] = np.array([consistency.autocorrelation(normal[:, i], LAGS) for i in range(e.shape[1])])
+    return found
 
-    def __init__(self, name: str, estimator: Estimator):
-        self.name, self.estimator = name, estimator
-        self.rms: list[float] = []
-        self.squares: list[np.ndarray] = []
-        self.nis: list[tuple[float, int, int]] = []
-        self.nees: list[np.ndarray] = []
-        self.nees_apart: list[np.ndarray] = []
-        self.rho: list[np.ndarray] = []
-        self.kept = 0
 
-    def add(self, run: Run) -> None:
-        """Run over one more seed."""
-        kept = run.time >= run.scenario.transient
-        size = round(BIN / (run.time[1] - run.time[0]))
-        try:
-            estimate = self.estimator.estimate(run.signals, run.known)
-        except FilterDiverged:
-            self.rms.append(np.nan)
-            return
-        error = estimate.mean - run.truth("joint_torque")
-        self.rms.append(float(np.sqrt(np.mean(error[kept] ** 2))))
-        self.squares.append(_binned(error**2, size))
-        if estimate.variance is not None:
-            nees = error**2 / np.maximum(estimate.variance, 1e-300)
-            # One sample per bin: those of different seeds are independent.
-            self.nees.append(nees[size // 2 :: size][: len(self.squares[-1])])
-            self.nees_apart.append(nees[kept][:: round(_APART / (run.time[1] - run.time[0]))])
-        e, S = estimate.innovation, estimate.innovation_covariance
-        if e is not None and S is not None and self.estimator.causal:
-            e, S = e[kept], S[kept]
-            squares = consistency.normalised_squares(e, S)
-            self.nis.append((float(np.mean(squares)), e.shape[1], len(e)))
-            normal = e / np.sqrt(np.diagonal(S, axis1=1, axis2=2))
-            channels = [consistency.autocorrelation(normal[:, i], LAGS) for i in range(e.shape[1])]
-            self.rho.append(np.array(channels))
-            self.kept = len(e)
+def _assessment(name: str, estimator: Estimator, results: Sequence[Mapping[str, Any]]) -> Assessment:
+    """Combine the results of all seeds."""
 
-    def assessment(self) -> Assessment:
-        """Everything over the seeds."""
-        error = np.sqrt(np.mean(self.squares, axis=0)) if self.squares else np.zeros(0)
-        found = Assessment(self.name, self.estimator.causal, np.array(self.rms), error)
-        if self.nees:
-            nees = np.array(self.nees)
-            found = replace(
-                found,
-                nees=consistency.mean_consistency(np.array(self.nees_apart), 1, samples=len(nees)),
-                nees_over_time=nees.mean(axis=0),
-                nees_share=consistency.share_inside(nees, 1),
-            )
-        if self.nis:
-            mean, dof = float(np.mean([m for m, _, _ in self.nis])), self.nis[0][1]
-            samples = sum(n for _, _, n in self.nis)
-            rho = np.array(self.rho)  # (M, m, LAGS)
-            worst = int(np.argmax(np.mean(rho**2, axis=(0, 2))))
-            band = consistency.white_band(self.kept)
-            found = replace(
-                found,
-                nis=consistency.mean_consistency(np.array([mean]), dof, samples=samples),
-                autocorrelation=rho[:, worst].mean(axis=0),
-                outside=float(np.mean(np.abs(rho[:, worst]) > band)),
-                whiteness=float(np.mean([consistency.ljung_box(r, self.kept) for r in rho[:, worst]])),
-            )
-        return found
+    def every(key: str) -> list[Any]:
+        return [one[key] for one in results if key in one]
+
+    more: dict[str, Any] = {}
+    if every("nees"):
+        nees = np.array(every("nees"))
+        apart = np.array(every("nees_apart"))
+        more["nees"] = consistency.mean_consistency(apart, 1, samples=len(nees))
+        more |= {"nees_over_time": nees.mean(axis=0), "nees_share": consistency.share_inside(nees, 1)}
+    if every("nis"):
+        means, dofs, samples = zip(*every("nis"), strict=True)
+        rho = np.array(every("rho"))  # (M, m, LAGS)
+        least_white = rho[:, int(np.argmax(np.mean(rho**2, axis=(0, 2))))]
+        more |= {
+            "nis": consistency.mean_consistency(np.array([float(np.mean(means))]), dofs[0], samples=sum(samples)),
+            "autocorrelation": least_white.mean(axis=0),
+            "outside": float(np.mean(np.abs(least_white) > consistency.white_band(samples[-1]))),
+            "whiteness": float(np.mean([consistency.ljung_box(r, samples[-1]) for r in least_white])),
+        }
+    squares = every("squares")
+    error = np.sqrt(np.mean(squares, axis=0)) if squares else np.zeros(0)
+    return Assessment(name, estimator.causal, np.array(every("rms")), error, **more)

@@ -1,4 +1,4 @@
-"""What an estimate is worth: error, noise, delay and response time, share of robust mode, NIS."""
+"""Metrics of an estimate: error, noise, delay and response time, share of robust mode, NIS."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from ...estimator.estimator import Posterior
 from ...models.kernels import kernel
@@ -16,12 +17,12 @@ _LEAST_SWING = 0.5  # N·m by which the torque must change for a delay to show
 _LONGEST_DELAY = 0.1  # s
 _EARLIEST = 5  # samples by which an estimate may be early
 _RESPONSE = 0.9
-_LEVEL = 0.05  # s before a push, over which an estimate's level is taken
-_LONGEST_PUSH = 2.0  # s: a disturbance that lasts longer is a load, not a push
+_LEVEL = 0.05  # s before a push that give an estimate's level
+_LONGEST_PUSH = 2.0  # s: a longer disturbance is a load
 
 
 def errors(estimate: np.ndarray, truth: np.ndarray, reading: np.ndarray, kept: np.ndarray) -> dict[str, float]:
-    """RMS and largest error against the noise-free torque, and RMS against the noisy sensor [N·m]; shape (n,) each."""
+    """Return RMS and largest error against the noise-free torque, and RMS against the sensor [N·m]; shape (n,) each."""
     e = (estimate - truth)[kept]
     return {
         "rms": float(np.sqrt(np.mean(e**2))),
@@ -31,7 +32,7 @@ def errors(estimate: np.ndarray, truth: np.ndarray, reading: np.ndarray, kept: n
 
 
 def steady(truth: np.ndarray, dt: float, kept: np.ndarray) -> np.ndarray:
-    """Where the torque has been changing by less than 0.5 N·m/s for 0.2 s, shape (n,)."""
+    """Return where the torque has changed by less than 0.5 N·m/s for 0.2 s, shape (n,)."""
     width = _window(dt)
     rate = np.abs(np.gradient(moving_mean(truth, width), dt))
     fast = (rate > _STEADY_RATE).astype(float)
@@ -39,7 +40,7 @@ def steady(truth: np.ndarray, dt: float, kept: np.ndarray) -> np.ndarray:
 
 
 def noise(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray) -> float:
-    """Standard deviation [N·m] of the error's part that is faster than 0.2 s, in steady state."""
+    """Return the standard deviation [N·m] of the error's part faster than 0.2 s, in steady state."""
     if np.count_nonzero(where) < 2:
         return float("nan")
     e = estimate - truth
@@ -47,7 +48,7 @@ def noise(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
 
 
 def moving_mean(x: np.ndarray, width: int) -> np.ndarray:
-    """Centred mean over `width` samples, shorter at the ends; shape (n,)."""
+    """Return the centred mean over `width` samples, fewer at the ends; shape (n,)."""
     total = np.concatenate([[0.0], np.cumsum(x)])
     half = width // 2
     low = np.clip(np.arange(len(x)) - half, 0, len(x))
@@ -56,9 +57,9 @@ def moving_mean(x: np.ndarray, width: int) -> np.ndarray:
 
 
 def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray) -> float | None:
-    """Delay [s] at which the truth explains the estimate best: least squares over whole samples, parabola between.
+    """Return the delay [s] with which the truth explains the estimate best: least squares, with a parabola between samples.
 
-    None where the torque does not change enough for a delay to show, or none up to 0.1 s explains the estimate.
+    None if the torque changes too little, or if no delay up to 0.1 s is a minimum.
     """
     if np.count_nonzero(where) < 2 or np.ptp(truth[where]) < _LEAST_SWING:
         return None
@@ -83,20 +84,17 @@ def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
 def _shift_costs(
     estimate: np.ndarray, truth: np.ndarray, indices: np.ndarray, earliest: int, total: np.ndarray
 ) -> None:
-    """Add squares of estimate[i] − truth[i − s] over `indices`, for shifts s from the latest to −earliest, to `total`.
-
-    Compiled and without the interpreter's lock: many runs are measured side by side.
-    """
+    """Add squares of estimate[i] − truth[i − s] over `indices`, for shifts s from the latest to −earliest, to `total`."""
     count = len(total)
     for i in indices:
         first = i + earliest - count + 1
-        for j in range(count):  # of the latest shift first, so that memory is read forwards
+        for j in range(count):  # latest shift first: memory is read forwards
             d = estimate[i] - truth[first + j]
             total[j] += d * d
 
 
 def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
-    """First and last tick of every push: where the external torque departs from rest for no longer than 2 s."""
+    """Return first and last tick of every push: a non-zero external torque of at most 2 s."""
     active = np.concatenate([[False], external_torque != 0, [False]])
     edges = np.flatnonzero(active[1:] != active[:-1])
     found = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -104,75 +102,50 @@ def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
 
 
 def _window(dt: float) -> int:
-    """Samples of the window between signal and noise."""
     return round(_WINDOW / dt)
 
 
-def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
-    """Mean of `responses` [s] over the pushes that the estimate follows; None where there is none."""
-    times = responses(estimate, truth, dt, events)
-    return float(np.nanmean(times)) if np.isfinite(times).any() else None
-
-
-def missed(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
-    """Share of the pushes that the estimate never follows (`responses`); None where there is none to follow."""
-    times = responses(estimate, truth, dt, events)
-    return float(np.mean(np.isnan(times))) if len(times) else None
-
-
 def responses(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> np.ndarray:
-    """Time [s] after the truth at which the estimate has made 90 % of the first swing that each push gives the torque.
+    """Return the time [s] from truth to estimate at 90 % of the first swing of the torque in each push.
 
-    The swing ends at the first extremum of the true torque that exceeds half the largest change during the push; the time
-    counts from where the true torque itself has made 90 % of it. Both count from their own level before the push, the mean of
-    50 ms: an estimate that is off by a constant is neither early nor late.
+    The swing ends at the first extremum of the true torque above half its largest change during the push. Truth and estimate
+    each start from their level before the push, the mean of 50 ms: a constant error does not count.
 
     Returns:
-      Shape (pushes,), of those that change the torque by 0.2 N·m or more; NaN where the estimate never gets there during one.
+      Shape (pushes,), of pushes that change the torque by 0.2 N·m or more; NaN if the estimate does not reach 90 %.
     """
     found = [response(estimate, truth, dt, begin, end) for begin, end in events]
     return np.array([time for time in found if time is not None], dtype=np.float64)
 
 
 def response(estimate: np.ndarray, truth: np.ndarray, dt: float, begin: int, end: int) -> float | None:
-    """One of `responses` [s]; None of a push that changes too little."""
+    """Return one of `responses` [s]; None for a push that changes the torque too little."""
     change = truth[begin:end] - truth[begin]
     if len(change) < 3 or np.max(np.abs(change)) < 0.2:
         return None
     extremum = _first_peak(np.abs(change), 0.5 * float(np.max(np.abs(change))))
     goal = _RESPONSE * change[extremum]
-    level = float(np.mean(estimate[max(begin - _before(dt), 0) : begin + 1]))
+    level = float(np.mean(estimate[max(begin - max(round(_LEVEL / dt), 1), 0) : begin + 1]))
     made = (estimate[begin:end] - level) * np.sign(goal) >= abs(goal)
     itself = int(np.argmax(change * np.sign(goal) >= abs(goal)))
     return (int(np.argmax(made)) - itself) * dt if np.any(made) else np.nan
 
 
-def _before(dt: float) -> int:
-    """Samples before a push over which an estimate's level is taken."""
-    return max(round(_LEVEL / dt), 1)
-
-
 def _first_peak(x: np.ndarray, height: float) -> int:
-    """Index of the first local maximum of x, shape (n,), that is as high as `height`; the middle of a flat one.
-
-    The ends are no maxima; where there is none, the index of the largest value.
-    """
-    begins = np.r_[0, np.flatnonzero(np.diff(x)) + 1]  # of runs of equal values
-    values = x[begins]
-    ends = np.r_[begins[1:], len(x)] - 1
-    inner = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] > values[2:]) & (values[1:-1] >= height)) + 1
-    return int((begins[inner[0]] + ends[inner[0]]) // 2) if len(inner) else int(np.argmax(x))
+    """Return the index of the first local maximum of x, shape (n,), of at least `height`, or of the largest value."""
+    peaks, _ = find_peaks(x, height=height)
+    return int(peaks[0]) if len(peaks) else int(np.argmax(x))
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What estimates of one run are measured against; arrays of shape (n,) [N·m].
+    """Reference for metrics of one run; arrays of shape (n,) [N·m].
 
     Attributes:
       truth, reading, raw: the noise-free Ts, the torque sensor, the raw compliance model.
-      external_torque: on the link, which gives the pushes.
+      external_torque: on the link; it defines the pushes.
       dt: sample period [s].
-      transient: time at the start that is left out [s].
+      transient: time at the start to leave out [s].
     """
 
     truth: np.ndarray
@@ -204,7 +177,7 @@ class Reference:
 
     @cached_property
     def during(self) -> np.ndarray:
-        """Where the delay is measured: during pushes where there are any, shape (n,), bool."""
+        """Samples for the delay, shape (n,), bool: during pushes, or all without pushes."""
         if not self.events:
             return self.kept
         during = np.zeros(len(self.truth), dtype=bool)
@@ -212,13 +185,9 @@ class Reference:
             during[a : b + _window(self.dt)] = True
         return during
 
-    def response_ms(self, estimate: np.ndarray) -> float | None:
-        """Mean time after the truth to 90 % of a push [ms] of an estimate, shape (n,) [N·m] (`response_time`)."""
-        response = response_time(estimate, self.truth, self.dt, self.events)
-        return None if response is None else 1e3 * response
-
     def evaluate(self, estimate: np.ndarray) -> dict[str, float | None]:
-        """All measures of one estimate, shape (n,) [N·m]."""
+        """Return all metrics of one estimate, shape (n,) [N·m]."""
+        times = responses(estimate, self.truth, self.dt, self.events)
         lag = delay(estimate, self.truth, self.dt, self.during)
         own_noise = noise(estimate, self.truth, self.dt, self.calm)
         return {
@@ -226,13 +195,12 @@ class Reference:
             "noise": finite(own_noise),
             "noise_ratio": finite(own_noise / self.raw_noise) if self.raw_noise > 0 else None,
             "delay_ms": None if lag is None else 1e3 * lag,
-            "response_ms": self.response_ms(estimate),
-            "missed": missed(estimate, self.truth, self.dt, self.events),
+            "response_ms": 1e3 * float(np.nanmean(times)) if np.isfinite(times).any() else None,
+            "missed": float(np.mean(np.isnan(times))) if len(times) else None,
         }
 
     def evaluate_posterior(self, found: Posterior) -> dict[str, float | None]:
-        """All measures of what an estimator says: of its estimate, of what it believes of itself, and 1 where it is not to be
-        trusted."""
+        """Return all metrics of an estimator's result, with its own variance, and 1 if it is not to be trusted."""
         nis = found.nis
         return {
             **self.evaluate(found.mean),
@@ -243,5 +211,5 @@ class Reference:
 
 
 def finite(value: float) -> float | None:
-    """The value; None where it is not finite."""
+    """Return the value, or None if it is not finite."""
     return float(value) if np.isfinite(value) else None

@@ -61,19 +61,6 @@ def test_a_run_that_memory_does_not_hold_is_refused(flexspline, tmp_path):
         assert code == 2 and expected in one_line(err) and not list(tmp_path.iterdir())
 
 
-def test_a_large_run_is_drawn_by_the_command_itself(flexspline, tmp_path, monkeypatch):
-    """Another process would hold all of it once more; what is drawn is the same."""
-    words = ("run", "external_push", "--set", "duration=4", "--json", "--out")
-    assert flexspline(*words, tmp_path / "others")[0] == 0
-    monkeypatch.setattr("flexspline.commands._drawing._LARGE", 1000)
-    assert flexspline(*words, tmp_path / "itself")[0] == 0
-    found = files(tmp_path / "others" / "external_push")
-    assert {"run.rrd", "figures/overview.png", "figures/error.png"} <= set(found)
-    assert found == files(tmp_path / "itself" / "external_push")
-    for path in (tmp_path / "others").rglob("*.png"):
-        assert path.read_bytes() == (tmp_path / "itself" / path.relative_to(tmp_path / "others")).read_bytes()
-
-
 def test_run_takes_a_file(flexspline, tmp_path):
     (tmp_path / "mine.yaml").write_text(SCENARIO)
     code, _, _ = flexspline("run", tmp_path / "mine.yaml", "--out", tmp_path / "runs", *QUICK)

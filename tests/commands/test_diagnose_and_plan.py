@@ -23,6 +23,7 @@ from flexspline.diagnosis.improvement import Improvement
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement, Recording, write_recording
+from flexspline.views.report import Report
 
 PLAN = Plan(
     (Question(("friction_temperature",), 0.0, 3.74), Question(("torque_constant", "torque_sensor_gain"), 1.1, 3.0)),
@@ -85,7 +86,8 @@ def printed(found: Diagnosis, gained: Improvement | None = None, width: int = 80
         Path("bench"),
         (Recording("swing", np.arange(2.0), {n: np.zeros(2) for n in ("link_position", "motor_current")}),),
     )
-    show(Console(file=file, width=width), found, gained, measured, load_joint("test-joint"), Path("out"), True)
+    report = Report(measured, load_joint("test-joint"), found, gained, found.plan, Path("out"))
+    show(Console(file=file, width=width), report, True)
     return file.getvalue()
 
 
@@ -106,11 +108,11 @@ def test_the_answer_is_legible_in_80_columns():
     for part in (
         "discrepancy:",
         "unit: sweep, motor_position: degrees taken for radians (99 % sure); mended by: × 0.0174533",
-        "position dependent friction (transmission): 99 % sure, explains 90 %, worth 0.41 N·m",
-        "amplitude = 0.008123 ± 0.00012 N·m", "motor current 0.0512 0.0104 0.01 A",
+        "position dependent friction (transmission): 99 % sure, explains 90 %, 0.41 N·m RMS (2.6 % of the rated torque)",
+        "amplitude = 0.00812 ± 0.00012 N·m", "motor current 0.0512 0.0104 0.01 A",
         "estimate, payload smoothed 1.23 0.109 0.03 N·m",
         "recording sweep_0 1.4 1.5 N·m worse than described",
-        "look alike: torque constant and torque sensor gain", "could not have shown: friction temperature",
+        "confounded: torque constant with torque sensor gain", "could not have shown: friction temperature",
         "1. Record the gear's temperature until 10 K warmer (22 s): would show friction temperature by 41 standard deviations",
         "flexspline estimate bench --joint out/joint.yaml --out estimates",
     ):  # fmt: skip

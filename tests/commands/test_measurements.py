@@ -110,7 +110,7 @@ def test_check_says_where_it_does_not_look_for_mistakes(flexspline, sweep, tmp_p
     write_recording(replace(sweep, name="bench", columns=columns, link=bench, external="unmeasured"), tmp_path / "m")
     code, out, err = flexspline("check", tmp_path / "m")
     assert code == 0 and not err
-    assert "bench: bolted to the bench, where mistakes are not looked for" in out
+    assert "bench: bolted to the bench, not checked for mistakes" in out
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def still(tmp_path, rng):
 
 def test_check_says_what_cannot_show(flexspline, still):
     code, out, _ = flexspline("check", still)
-    assert code == 0 and "can be found by channels" not in out and "no cause can be found: nothing moves" in out
+    assert code == 0 and "detectable with these channels" not in out and "no cause is detectable: nothing moves" in out
     for cause in ("cogging", "hysteresis", "stiffness", "gravity_moment", "friction_drift", "mesh_friction"):
         assert cause in out
     assert json.loads(flexspline("check", still, "--json")[1])["can_show"] == []
@@ -143,7 +143,7 @@ def test_check_says_which_of_current_and_torque_is_read_and_whether_they_agree(
     both = replace(sweep, name="both", columns={**sweep.columns, "motor_torque": torque})
     write_recording(both, tmp_path / "m")
     code, out, err = flexspline("check", tmp_path / "m")
-    assert code == 0 and "the current is read, the torque is not" in out
+    assert code == 0 and "`motor_current` takes precedence over `motor_torque`" in out
     assert said in one_line(err) if said else not err
 
 
@@ -153,7 +153,7 @@ def test_nothing_is_in_motion_where_nothing_moves(flexspline, still, tmp_path):
     score = json.loads((tmp_path / "e" / "metrics.json").read_text())["still"]["joint_torque"]["current"]
     assert score["rms"] > 0 and score["rms_moving"] is None
     code, out, err = flexspline("validate", still, "--out", tmp_path / "v")
-    assert code == 0 and "nothing moved" in one_line(err) and "95 % band" not in out and "validation.json" in out
+    assert code == 0 and "nothing moves" in one_line(err) and "95 % band" not in out and "validation.json" in out
     code, out, _ = flexspline("validate", still, "--json", "--out", tmp_path / "v")
     assert json.loads(out)["residual"] == {}
 
@@ -203,8 +203,10 @@ def test_what_mends_a_mistake_is_for_the_joint_that_was_asked_for(flexspline, sw
     for option, told in ((mine, f" --joint {tmp_path / 'mine.yaml'}"), ((), "")):
         command = f"flexspline import {path} --fix{told} --out"
         assert f"{command} DIR" in one_line(flexspline("estimate", path, *option, "--out", tmp_path / "e")[2])
-        assert f"mended by: {command} MENDED\n" in flexspline("check", path, *option)[1]
-        assert f"mended by: {command} MENDED\n" in flexspline("validate", path, *option, "--out", tmp_path / "v")[1]
+        assert f"to correct them: {command} MENDED\n" in flexspline("check", path, *option)[1]
+        assert (
+            f"to correct them: {command} MENDED\n" in flexspline("validate", path, *option, "--out", tmp_path / "v")[1]
+        )
         assert f"{command} MENDED\n" in flexspline("diagnose", path, *option, "--out", tmp_path / "d")[1]
         page = (tmp_path / "d" / "report.html").read_text()
         assert f"{html.escape(command)} MENDED" in page and f"flexspline check {path}{told}\n" in page

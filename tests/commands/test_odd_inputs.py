@@ -193,7 +193,7 @@ def test_a_change_that_would_lose_another_is_refused(flexspline, tmp_path):
         ("filters.0.k=0.1", "filters=[RAREKF]"), ("disturbances.0.torque=4", "disturbances=[]"),
     ):  # fmt: skip
         line = refused(flexspline("run", "external_push", "--set", lost, "--set", wider, "--out", tmp_path / "out"))
-        assert f"--set {wider}: it replaces --set {lost}" in line
+        assert f"--set {wider}: it would discard --set {lost}" in line
 
 
 SHORT = ("--set", "duration=2", "--no-figures", "--no-recording")

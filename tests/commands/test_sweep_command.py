@@ -137,7 +137,7 @@ def test_ctrl_c_says_that_the_same_command_goes_on(tmp_path):
     done = subprocess.run(words, capture_output=True, text=True, timeout=120)
     assert done.returncode == 130
     assert done.stderr.strip().splitlines() == [
-        f"stopped; 0 of 6 runs are in {tmp_path / 'out'}; the same command goes on"
+        f"stopped; 0 of 6 runs are in {tmp_path / 'out'}; the same command continues"
     ]
 
 

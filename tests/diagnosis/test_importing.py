@@ -591,7 +591,9 @@ def test_what_was_edited_is_kept(tmp_path, mapping):
     sidecar.write_text(written.replace("external_torque: none", "external_torque: measured"))
     before = {p.name: p.read_bytes() for p in out.iterdir()}
     error = run(mapping, path, "--out", out, "--force").exception
-    assert isinstance(error, InputError) and str(error).startswith(f"{sidecar}: expected it to fit the new table")
+    assert isinstance(error, InputError) and str(error).startswith(
+        f"{sidecar}: expected the edited file to match the new table"
+    )
     assert {p.name: p.read_bytes() for p in out.iterdir()} == before
     sidecar.write_text(written)
     layout(tmp_path, link={"inertia": 0.4, "gravity_moment": 9.5})

@@ -479,7 +479,7 @@ def test_what_no_change_mends_is_not_mended(tmp_path):
     assert "the channels do not fit this joint" in str(told.exception) and "--fix" not in str(told.exception)
     told = CliRunner().invoke(commands.app, ["diagnose", spoilt, "--out", str(tmp_path / "diagnosis")])
     assert "the channels do not fit this joint" in " ".join(told.stdout.split()) and "--fix" not in told.stdout
-    with pytest.warns(InputWarning, match="not mended: the channels do not fit this joint"):
+    with pytest.warns(InputWarning, match="not corrected: the channels do not fit this joint"):
         told = CliRunner().invoke(commands.app, ["import", spoilt, "--fix", "--out", str(tmp_path / "mended")])
     assert "no mistake" not in told.stdout
     (written,) = read_measurement(tmp_path / "mended").recordings

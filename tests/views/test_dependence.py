@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexspline.views.dependence import ORDERS, explained, means, orders, telling
+from flexspline.views.dependence import ORDERS, explained, means, orders, strongest_variable
 from flexspline.views.residuals import ResidualSeries
 
 
@@ -29,12 +29,12 @@ def balance(rng):
 def test_variable_that_gives_the_cause_away(balance):
     quiet = balance(lambda velocity, link: 0.0)
     stepped = balance(lambda velocity, link: 0.1 * np.sign(velocity))
-    b, key, share = telling([quiet, stepped])
+    b, key, share = strongest_variable([quiet, stepped])
     assert b is stepped and key in ("direction", "velocity") and share > 0.9
     assert explained(b, b.after, key) < 0.05
-    _, key, _ = telling([balance(lambda velocity, link: 0.1 * (link > 0.5))])
+    _, key, _ = strongest_variable([balance(lambda velocity, link: 0.1 * (link > 0.5))])
     assert key == "link"
-    assert telling([quiet]) is None
+    assert strongest_variable([quiet]) is None
 
 
 def test_means_of_bins_follow_the_residual(balance):

@@ -33,8 +33,7 @@ def test_pushes_give_the_papers_figures_8_and_9(pushed, tmp_path):
 
 
 def test_figures_are_written_as_pictures_with_something_on_them(bare, tmp_path):
-    """In shares, as several processes draw them."""
-    paths = [path for share in range(3) for path in figures.save_figures(bare, tmp_path / "figures", share, 3)]
+    paths = figures.save_figures(bare, tmp_path / "figures")
     assert {path.stem for path in paths} == {"fig5_no_load"} | GENERAL and len(paths) == len(set(paths))
     for path in paths:
         image = imread(path)

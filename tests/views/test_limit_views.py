@@ -13,7 +13,7 @@ from flexspline.estimator import registry
 from flexspline.estimator.consistency import Mean
 from flexspline.scenarios.evaluation.limits import Assessment, Limits
 from flexspline.scenarios.evaluation.tuning import Front, Tuned, with_parameters
-from flexspline.views import limit_figures, limit_tables
+from flexspline.views import limit_figures, limit_tables, tables
 
 
 @pytest.fixture
@@ -33,11 +33,11 @@ def limits() -> Limits:
 
 
 def test_rows(limits):
-    rows = {row[0]: row for row in limit_tables.limit_rows(limits)}
-    assert list(rows) == ["rts_smoother (not causal)", "RAREKF", "lost"]  # the smallest error first, none last
-    assert rows["RAREKF"][1:5] == ("0.0552", "5.52", "0.50", "0.90–1.10")
-    assert rows["rts_smoother (not causal)"][3] == "–"
-    assert rows["lost"][1] == "diverged"
+    rows = {row["estimator"]: row for row in limit_tables.summary_rows([limits])}
+    assert rows["RAREKF"]["ratio"] == pytest.approx(5.52, abs=0.005) and rows["RAREKF"]["nis_low"] == 0.9
+    assert rows["rts_smoother"]["nis"] is None and np.isnan(rows["lost"]["rms"])
+    shown = [line.split()[0] for line in rendered(limit_tables.limits_table(limits)).splitlines() if line.strip()]
+    assert [name for name in shown if name in rows] == ["rts_smoother", "RAREKF", "lost"]  # by error, diverged last
 
 
 def test_tuned_rows():
@@ -56,7 +56,7 @@ def test_tuned_rows():
     (row,) = limit_tables.tuned_rows([one])
     assert row[0] == "EKF" and row[1:3] == ("0.1000", "0.0500") and row[4] == "0.0600"
     assert row[5].startswith("-0.0500 [") and row[6] == "W 1e-08!"
-    assert limit_tables.markdown(("a", "b"), [("x", "1")]) == "| a | b |\n|---|---:|\n| x | 1 |"
+    assert tables.markdown_table(("a", "b"), [("x", "1")]) == "| a | b |\n|---|---:|\n| x | 1 |"
 
 
 def test_limits_are_whole_at_80_columns(limits):

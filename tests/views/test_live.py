@@ -115,7 +115,7 @@ def test_it_keeps_pace(tmp_path):
 
 
 def test_only_what_runs_along_can_be_live():
-    with pytest.raises(InputError, match="filters: expected one that runs along, got \\['rts_smoother'\\]"):
+    with pytest.raises(InputError, match="filters: expected a causal one, got \\['rts_smoother'\\]"):
         LiveRun(*load_scenario("no_load", ["duration=1", "transient=0.2", "filters=[rts_smoother]"]))
 
 

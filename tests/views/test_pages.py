@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from jinja2 import UndefinedError
 
+from flexspline.views.numbers import number, percent, with_std
 from flexspline.views.pages.chart import Chart, limits, ticks
-from flexspline.views.pages.rendering import number, percent, render, sentence, with_std
+from flexspline.views.pages.rendering import render, sentence
 
 
 @pytest.mark.parametrize(

@@ -25,8 +25,9 @@ from flexspline.scenarios.run_folder import save_run
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
 from flexspline.views import contact_views
+from flexspline.views.numbers import number
 from flexspline.views.pages.contact import contact_html, read_answer, read_curves
-from flexspline.views.pages.rendering import TEMPLATES, number
+from flexspline.views.pages.rendering import TEMPLATES
 from flexspline.views.pages.run import line_kinds, runs_html
 from flexspline.views.pages.sweep import sweep_html
 from flexspline.views.pages.two_diagnoses import read_diagnosis, two_html

@@ -7,10 +7,8 @@ when the first figure is drawn, and keeps its own settings.
 
 from __future__ import annotations
 
-import gc
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,37 +25,15 @@ def figures_of(run: Run) -> dict[str, Figure]:
     return {name: make(run) for name, make in _chosen(run).items()}
 
 
-def save_figures(run: Run, folder: Path, first: int = 0, every: int = 1) -> list[Path]:
-    """Write a run's figures as PNG.
-
-    Args:
-      run: the run.
-      folder: where to; made if need be.
-      first, every: of its figures only the `first` and each `every`th after it, for who shares them out.
-
-    Returns:
-      Their paths.
+def save_figures(run: Run, folder: Path) -> list[Path]:
+    """Write a run's figures as PNG into a folder, which is made if it does not exist; return their paths.
 
     Raises:
       InputError: the folder cannot be written.
     """
     from .sheet import save
 
-    with _without_collecting():
-        chosen = list(_chosen(run).items())[first::every]
-        return [save(make(run), Path(folder) / f"{name}.png") for name, make in chosen]
-
-
-@contextmanager
-def _without_collecting() -> Iterator[None]:
-    """Without the garbage collector, which a figure's thousands of small objects would call again and again."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
+    return [save(make(run), Path(folder) / f"{name}.png") for name, make in _chosen(run).items()]
 
 
 def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:

@@ -1,4 +1,4 @@
-"""The page of collision detectors: whose external torque finds the smallest push at the same number of false alarms."""
+"""The page of collision detectors: smallest push found at the same number of false alarms."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import csv
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -14,32 +13,32 @@ import numpy as np
 
 from ...models.errors import InputError
 from ...models.files import check_format, read_json
-from ..contact_views import HEADS, contact_rows, reasons, titles, told
+from ..contact_views import HEADS, contact_rows, measure_text, reasons, titles
 from .chart import Chart, limits
-from .provenance import file_digest, now
-from .rendering import render, squeezed
+from .provenance import file_digest
+from .rendering import render
 from .run import line_kinds
 
 MEASURES = ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay")
-"""Of a detector, each with the ends of its interval."""
+"""Measures of a detector; each has an interval."""
 _NUMBERS = (
     "tolerance", "threshold", "false_alarms_per_hour", "smallest_push", "found_of_large", "delay_ms", "hours", "runs",
 )  # fmt: skip
 _STATED = ("tolerance", "hours", "runs")
-"""Numbers of every row; the others are measures, which may not be defined."""
+"""Numbers that every row has; the others may be undefined."""
 _DECADES = (0.1, 1, 10, 100, 1000, 10_000)
 
 SENSOR = "torque sensor"
-"""A detector that is no estimator."""
+"""The detector without an estimator."""
 
 Row = Mapping[str, Any]
 
 
 def read_curves(path: Path) -> list[dict[str, Any]]:
-    """Rows of `contact.csv`, not a number where a measure is not defined.
+    """Read the rows of `contact.csv`; undefined measures are NaN.
 
     Raises:
-      InputError: a file that is no such table.
+      InputError: a file with other content.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -60,10 +59,10 @@ def read_curves(path: Path) -> list[dict[str, Any]]:
 
 
 def read_answer(path: Path) -> dict[str, Any]:
-    """`contact.json`.
+    """Read `contact.json`.
 
     Raises:
-      InputError: a file that is none.
+      InputError: a file with other content.
     """
     answer = read_json(path, "the answer of flexspline contact")
     check_format(answer, path)
@@ -86,12 +85,12 @@ def read_answer(path: Path) -> dict[str, Any]:
 
 
 def contact_html(answer: Mapping[str, Any], rows: Sequence[Row], folder: Path) -> str:
-    """The page as text: one file that refers to nothing outside itself.
+    """Return the page as text: one file without references to others.
 
     Args:
-      answer: of `read_answer`, whose numbers the page states.
-      rows: of `read_curves`, which it draws.
-      folder: that holds both.
+      answer: of `read_answer`, with the numbers.
+      rows: of `read_curves`, for the charts.
+      folder: of both.
     """
     names = list(dict.fromkeys(str(row["estimator"]) for row in answer["detectors"]))
     kinds = line_kinds([name for name in names if name != SENSOR]) | {SENSOR: "measured"}
@@ -101,10 +100,11 @@ def contact_html(answer: Mapping[str, Any], rows: Sequence[Row], folder: Path) -
     sentence = f"No detector finds nine pushes in ten at {answer['rate']:g} false alarms per hour or fewer, on {joint}."
     if best["smallest_push"] is not None:
         sentence = (
-            f"{best['estimator']} finds the smallest push, {told(best, 'smallest_push', 2)} N·m, at "
+            f"{best['estimator']} finds the smallest push, {measure_text(best, 'smallest_push', 2)} N·m, at "
             f"{answer['rate']:g} false alarms per hour, on {joint}."
         )
     longer = min(4 * answer["hours"], 100.0)
+    more = ["--hours", f"{longer:g}", "--out", f"{folder.as_posix()}-{longer:g}h"]
     context = {
         "sentence": sentence,
         "answer": answer,
@@ -112,23 +112,11 @@ def contact_html(answer: Mapping[str, Any], rows: Sequence[Row], folder: Path) -
         "tables": [(_joint(answer, d[0]["tolerance"]), list(contact_rows(d)), reasons(d)) for _, d in parts],
         "entries": [(kinds[name], name) for name in names],
         "charts": [_charts(rows, d[0]["tolerance"], names, kinds, _joint(answer, d[0]["tolerance"])) for _, d in parts],
-        "command": shlex.join(
-            [
-                "flexspline",
-                "contact",
-                *answer["arguments"],
-                "--hours",
-                f"{longer:g}",
-                "--out",
-                f"{folder.as_posix()}-{longer:g}h",
-            ]
-        ),
+        "command": shlex.join(["flexspline", "contact", *answer["arguments"], *more]),
         "folder": str(folder),
         "digest": file_digest(folder / "contact.json"),
-        "written": now(),
-        "version": metadata.version("flexspline"),
     }
-    return squeezed(render("contact.html.j2", context))
+    return render("contact.html.j2", context)
 
 
 def _joint(answer: Mapping[str, Any], tolerance: float) -> str:
@@ -142,7 +130,7 @@ def _joint(answer: Mapping[str, Any], tolerance: float) -> str:
 def _charts(
     rows: Sequence[Row], tolerance: float, names: Sequence[str], kinds: Mapping[str, str], title: str
 ) -> list[Chart]:
-    """Smallest push and delay over the false alarms, whose axis is logarithmic."""
+    """Return charts of smallest push and delay over the false alarms, on a logarithmic axis."""
     here = [row for row in rows if row["tolerance"] == tolerance]
     labels = tuple((math.log10(v), f"{v:g}") for v in _DECADES)
     charts = []

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..dependence import ORDERS, VARIABLES, explained, means, orders, telling
+from ..dependence import ORDERS, VARIABLES, explained, means, orders, strongest_variable
+from ..numbers import percent
 from ..report import plain
 from ..residuals import Overlay, ResidualSeries
 from .chart import Chart, limits
-from .rendering import percent
 
 if TYPE_CHECKING:
     from ...diagnosis.improvement import Improvement
@@ -75,9 +75,9 @@ def trace(improvement: Improvement) -> dict[str, Any]:
     return {"name": t.name, "charts": [values, below]}
 
 
-def told(found: list[ResidualSeries]) -> dict[str, Any] | None:
-    """What gives the discrepancy away: channel, variable, and the share of the residual that it explains before and after."""
-    most = telling(found)
+def main_variable(found: list[ResidualSeries]) -> dict[str, Any] | None:
+    """Return the variable that explains most of the discrepancy: channel, key, and shares before and after."""
+    most = strongest_variable(found)
     if most is None:
         return None
     b, key, share = most
@@ -86,7 +86,7 @@ def told(found: list[ResidualSeries]) -> dict[str, Any] | None:
 
 def by_variable(found: list[ResidualSeries]) -> list[Group]:
     """A group per balance: its residual against everything that it may depend on."""
-    most = telling(found)
+    most = strongest_variable(found)
     groups = []
     for b in found:
         accent = most[1] if most is not None and most[0] is b else ""

@@ -14,12 +14,13 @@ import numpy as np
 from ...estimator.estimator import KnownJoint
 from ...models import plugins
 from ...models.parameters import as_floats
+from ..numbers import number
 from ..report import listed
 from ..style import FILTERS
 from ..tables import COLUMNS, RAW_MODEL, doubts, marked, misjudged
 from .chart import Chart, limits
-from .provenance import fingerprint, now, versions
-from .rendering import number, render, squeezed
+from .provenance import fingerprint
+from .rendering import render
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -30,13 +31,13 @@ _NEAR = 1.25
 
 
 def runs_html(runs: Sequence[tuple[Run, Path]], arm: Path | None = None) -> str:
-    """The page as text: one file that refers to nothing outside itself.
+    """Return the page as text: one file without references to others.
 
     Args:
       runs: with the folders that they were read from, each of another scenario.
       arm: folder of an arm's run, whose joints `runs` are, from the base to the tip.
     """
-    return squeezed(render("run.html.j2", _context(runs, arm)))
+    return render("run.html.j2", _context(runs, arm))
 
 
 def line_kinds(names: Sequence[str]) -> dict[str, str]:
@@ -65,8 +66,6 @@ def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, An
         "notes": [(s["name"], note) for s, (run, _) in zip(scenarios, runs, strict=True) for note in run.notes],
         "commands": _commands(runs, names) if arm is None else _arm_commands(runs, arm),
         "columns": COLUMNS,
-        "written": now(),
-        "versions": versions(),
         "data": [
             (run.name, len(run.time), run.joint.name, run.scenario.seed, fingerprint(run.as_recording()), str(folder))
             for run, folder in runs

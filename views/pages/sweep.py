@@ -15,8 +15,7 @@ from ...models import plugins
 from ..sweep_figures import layout, place_of
 from ..sweep_tables import cell, metric_column, sign_of, sweep_rows, value_text
 from .chart import Chart, limits
-from .provenance import now
-from .rendering import render, squeezed
+from .rendering import render
 from .run import line_kinds
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ _SHOWN = 12  # charts at most
 def sweep_html(
     study: Study, found: Sequence[Aggregate], versions: dict[str, str], digest: str, folder: Path, source: str = ""
 ) -> str:
-    """The page as text: one file that refers to nothing outside itself.
+    """Return the page as text: one file without references to others.
 
     Args:
       study: that was swept.
@@ -69,9 +68,8 @@ def sweep_html(
         "folder": str(folder),
         "versions": versions,
         "digest": digest,
-        "written": now(),
     }
-    return squeezed(render("sweep.html.j2", context))
+    return render("sweep.html.j2", context)
 
 
 def _best(study: Study, found: Sequence[Aggregate]) -> list[tuple[str, int]]:

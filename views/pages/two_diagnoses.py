@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shlex
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,10 @@ from ...models.files import check_format, read_json
 from ...models.joint import Joint, Number, load_joint
 from ...models.parameters import short_way
 from ..glossary import meaning
+from ..numbers import number, with_std
 from ..report import listed, plain
-from .provenance import file_digest, now
-from .rendering import number, render, squeezed, with_std
+from .provenance import file_digest
+from .rendering import render
 
 _DELAYS = ("current_delay", "torque_sensor_delay")
 """Delays of sensors that a diagnosis finds, by the names that it reports."""
@@ -133,7 +133,7 @@ def _title(cause: dict[str, Any]) -> str:
 
 
 def two_html(before: Diagnosed, after: Diagnosed) -> str:
-    """The page as text: one file that refers to nothing outside itself.
+    """Return the page as text: one file without references to others.
 
     Raises:
       InputError: diagnoses of two joints.
@@ -142,7 +142,7 @@ def two_html(before: Diagnosed, after: Diagnosed) -> str:
         raise InputError(
             f"{after.folder}: expected a diagnosis of {before.joint.name}, as {before.folder}, got one of {after.joint.name}"
         )
-    return squeezed(render("two_diagnoses.html.j2", _context(before, after)))
+    return render("two_diagnoses.html.j2", _context(before, after))
 
 
 def _context(before: Diagnosed, after: Diagnosed) -> dict[str, Any]:
@@ -170,8 +170,6 @@ def _context(before: Diagnosed, after: Diagnosed) -> dict[str, Any]:
             f"flexspline validate NEW_MEASUREMENT --joint {place}/joint.yaml --out check{plugins.options()}",
             f"flexspline plan {place}",
         ],
-        "written": now(),
-        "version": metadata.version("flexspline"),
         "data": [(str(d.folder), file_digest(d.folder / "diagnosis.json")) for d in (before, after)],
     }
 

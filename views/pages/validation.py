@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,11 @@ from ...models.files import check_format, read_json
 from ...models.joint import beyond_sentence
 from ...models.recording import LARGEST
 from ...models.tables import read_table
+from ..numbers import number, percent
 from ..report import listed, plain
 from .chart import Chart, limits
-from .provenance import file_digest, now
-from .rendering import number, percent, render, squeezed
+from .provenance import file_digest
+from .rendering import render
 from .residual_charts import Group
 
 HELD = 0.9
@@ -97,7 +97,7 @@ def _channels(columns: Mapping[str, np.ndarray]) -> list[str]:
 
 
 def validation_html(found: Validated) -> str:
-    """The page as text: one file that refers to nothing outside itself."""
+    """Return the page as text: one file without references to others."""
     answer = found.answer
     beyond = beyond_sentence(answer["beyond"])
     context = {
@@ -116,10 +116,8 @@ def validation_html(found: Validated) -> str:
         "digest": file_digest(found.folder / "validation.json"),
         "measurement": answer.get("measurement"),
         "data": [(name, len(columns["time"])) for name, columns in found.tables.items()],
-        "written": now(),
-        "version": metadata.version("flexspline"),
     }
-    return squeezed(render("validation.html.j2", context))
+    return render("validation.html.j2", context)
 
 
 def _holds(answer: dict[str, Any]) -> bool:

@@ -11,7 +11,11 @@ import pytest
 from scipy import stats
 from small import column, run, study
 
+from flexspline.models.files import yaml_text
+from flexspline.scenarios.run import run_scenario
+from flexspline.scenarios.scenario import load_scenario
 from flexspline.scenarios.studies.statistics import aggregate, counterparts, interval, paired, write_csv
+from flexspline.scenarios.studies.worst import worst_runs
 from flexspline.views.sweep_tables import sign_of, sweep_rows
 
 
@@ -122,3 +126,17 @@ def test_marks_are_against_the_variant_in_the_same_row(tmp_path):
             assert sign_of(of[name], "noise_ratio") == sign, (name, columns)
             signs.add((name, columns["W"], columns["V"], sign))
     assert {(V, sign) for name, W, V, sign in signs if name == "EKF" and W == 1e-4} == {(1e-4, -1), (10.0, 1)}
+
+
+@pytest.mark.parametrize("vary", [False, True])
+def test_the_worst_run_can_be_run_again(tmp_path, vary):
+    """Its scenario gives the value of the row, to the bit."""
+    axes = [{"kind": "load", "values": [6.0, 9.0]}]
+    dataset = run(tmp_path, study(scenarios=["link_sweep"], axes=axes, vary=vary))
+    (worst,) = worst_runs(dataset, "rms")
+    rows = [row for cell in dataset.design.cells for row in dataset.read(cell.index).to_pylist()]
+    assert worst.value == max(row["rms"] for row in rows)
+    path = tmp_path / "again.yaml"
+    path.write_text(yaml_text(worst.again.model_dump(mode="json", exclude_none=True)))
+    again = run_scenario(*load_scenario(path))
+    assert again.metrics["filters"][worst.filter]["rms"] == worst.value
