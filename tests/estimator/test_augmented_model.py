@@ -249,7 +249,7 @@ def seeing(case: str, deviation: float = 0.02) -> Midway:
     return midway
 
 
-def test_what_torsion_shows_of_the_joints_numbers():
+def test_sensitivity_of_torsion_to_the_joints_numbers():
     """An error of a number in the state says of torsion's torque what the number itself, changed in the record, says."""
     midway = seeing("plain")
     p = midway.joint.p
@@ -334,7 +334,7 @@ def test_constants_are_learned_after_a_tenth_of_a_second_of_sliding():
         assert np.any(after != before) == learned, slid
 
 
-def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
+def test_calm_needs_small_innovations_and_no_contact():
     """All three; any of them ends it, and with it the time that was slid. It is due at half a second, then again and again."""
     midway = seeing("plain")
     midway.sample["interval"], h = 1e-3, 1e-3
@@ -359,7 +359,7 @@ def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
 
 
 @pytest.mark.parametrize("by", ["motion", "rest"])
-def test_at_rest_only_torsion_that_stands_out_teaches(by):
+def test_at_rest_constants_are_learned_from_large_torsion_innovations_only(by):
     """Constants: in motion of any innovation; at rest of torsion's alone, where it is known no better than a hundredth of T2."""
     midway = seeing("plain")
     midway.sample["interval"] = 1e-3
@@ -431,7 +431,7 @@ def test_noise_grows_with_time_and_contradiction():
         assert unseen == pytest.approx(0.5 * c["loose"] * ((h - 1e-3) / 0.5) ** 2)
 
 
-def test_a_count_that_both_encoders_keep_is_worth_less_with_every_sample():
+def test_a_repeated_count_has_a_growing_variance():
     """The n-th in a row has n times a count's variance, to the link encoder as to torsion; a new count of either is news."""
     midway = disturbed(Midway.of("plain"))
     midway.settings["link_variance"], midway.settings["torsion_variance"] = 1e-11, 2e-11
@@ -464,7 +464,7 @@ def test_a_count_that_both_encoders_keep_is_worth_less_with_every_sample():
     assert count > 0.02 * c["torsion_variance"]
 
 
-def test_nobody_touches_it():
+def test_external_torque_decays_without_contact():
     """Without contact for a while, an external torque within its uncertainty decays, over a time `back`."""
     midway = disturbed(Midway.of("plain"), external=0.02)
     midway.settings["wait"] = 0.2
@@ -517,7 +517,7 @@ def test_the_torque_is_the_joints():
     assert doubted[3]["link_ratio"] > 5.0
 
 
-def test_constants_are_learned_in_calm_motion_and_now_and_then():
+def test_constants_are_learned_in_calm_motion_at_intervals():
     """Not before half a second of calm and a tenth of sliding, then every 50 ms; after a push not before as long again."""
     known = seen("plain")[1]
     calm, pushed = (signals_of(PLAIN, SEED, push)[0].part(slice(0, 6000)) for push in (False, True))
@@ -540,7 +540,7 @@ def test_constants_are_learned_in_calm_motion_and_now_and_then():
 
 
 @pytest.mark.parametrize("current", [0.0, 0.3, -0.3])
-def test_it_begins_in_equilibrium_and_perhaps_in_motion(current):
+def test_it_starts_in_equilibrium_with_an_unknown_velocity(current):
     """At the first readings: torques as torsion and current have them, friction takes the rest as far as it can; a velocity of
     up to 1 rad/s of the whole joint at once."""
     _, known = seen("plain")
@@ -568,7 +568,7 @@ def test_it_begins_in_equilibrium_and_perhaps_in_motion(current):
     assert (m["torsion_ratio"], m["link_ratio"], m["belief"]) == (pytest.approx(0.8, abs=0.01), 1.0, 1.0)
 
 
-def test_what_hangs_on_the_link_may_swing_as_a_tenth_of_the_joints_torque_bends_it():
+def test_prior_of_the_flexible_part():
     """And its velocity has as much energy as that: both filters that carry it."""
     _, known = seen("rich")
     p = known.p
@@ -601,7 +601,7 @@ def test_the_grid_of_samples_follows_the_stamps():
     assert late["phase"] == pytest.approx(-0.98 * 4e-4), "by more than half a period it is the next sample's"
 
 
-def test_stamps_are_followed_as_far_as_they_are_believed():
+def test_the_interval_follows_the_trust_in_stamps():
     """In between, as of an interval that is off by less; by the link's readings, belief is a regression on what it moved."""
     midway = disturbed(Midway.of("plain"))
     off, quarter = 8e-5, 0.25
@@ -644,7 +644,7 @@ def test_stamps_are_followed_as_far_as_they_are_believed():
     assert changes[-40.0] < changes[0.0] < changes[40.0]
 
 
-def test_samples_that_are_off_in_time_are_found_out():
+def test_time_errors_of_samples_are_learned():
     """Even stamps, readings of a moving link 0.2 ms off: the time is found to a third, and no jitter where there is none."""
     signals, known = signals_of(PLAIN, SEED, False)[0].part(slice(0, 4000)), seen("plain")[1]
     step = registry.get("augmented").step(known, 1e-3)
@@ -660,7 +660,7 @@ def test_samples_that_are_off_in_time_are_found_out():
     assert found["late"] == pytest.approx(2e-4, rel=0.35) and found["even"] < 5e-5
 
 
-def test_a_bristle_that_is_stiff_in_damping_does_not_shake():
+def test_a_stiff_bristle_damping_is_stable():
     """A bristle of three times the damping that turns round at rest: errors of the state do not grow from sample to sample."""
     midway = Midway.of("plain", s1=0.03).blind()
     x = midway.memory["x"].copy()
@@ -670,7 +670,7 @@ def test_a_bristle_that_is_stiff_in_damping_does_not_shake():
     assert midway.after(x, P)[1][AT["wave_rate"], AT["wave_rate"]] < 1.0
 
 
-def test_a_touch_that_constants_could_be_is_taken_for_them():
+def test_a_contact_within_the_constants_priors_resets_them():
     """An external torque that has lasted for two seconds: constants are reset. One that is more than they could be stays."""
     midway = disturbed(Midway.of("plain"), external=0.1)
     c, i = midway.settings, AT["external"]

@@ -60,7 +60,7 @@ def test_noise_is_the_sensors_with_their_counts():
     assert np.std(band["current"] ** 2) / 0.04 == pytest.approx(np.sqrt(2 / 250), rel=0.35)
 
 
-def test_a_drives_torque_is_as_little_known_as_its_current():
+def test_a_drives_torque_has_the_uncertainty_of_its_current():
     """The unexplained part of the current was zero if the drive reported the torque."""
     per_ampere = float(P["Kt_drive"])
 
@@ -75,7 +75,7 @@ def test_a_drives_torque_is_as_little_known_as_its_current():
     np.testing.assert_allclose(other, one, rtol=1e-9)
 
 
-def test_errors_of_current_pass_as_far_as_the_estimator_lets_them():
+def test_errors_of_current_are_scaled_by_the_estimators_response():
     """A first-order low-pass of time constant τ passes T/(T + τ) of the variance of an error that forgets in T = 0.3 s."""
 
     def run(s: Signals, _):
@@ -139,7 +139,7 @@ def test_errors_grow_beyond_the_range():
     assert band[-100] / band[0] == pytest.approx(3.0, rel=0.03)
 
 
-def test_at_rest_friction_is_anything_up_to_its_level():
+def test_friction_at_rest_is_unknown_up_to_its_level():
     def run(s: Signals, known: KnownJoint):
         return {"friction": np.full(len(s.time), known.p["N"] * known.p["Fc"])}
 
@@ -153,7 +153,7 @@ def test_at_rest_friction_is_anything_up_to_its_level():
     assert rms(moving[1000:-1000]) < 1e-3 * level
 
 
-def test_what_is_not_known_of_a_number_is_in_the_band():
+def test_tolerances_widen_the_band():
     joint = stating({}, ("Kt",), ((0.1 * P["Kt"],),))
     current = 0.5 + 0.3 * np.sin(TIME)
 
@@ -180,7 +180,7 @@ def test_the_torque_without_lag_is_of_torsion_or_else_of_current():
     assert not reference_torque(Signals(TIME, {"link_position": RAMP}), SILENT).any()
 
 
-def test_a_drives_torque_stands_for_its_current():
+def test_a_drives_torque_is_converted_to_current():
     s = signals(RAMP, 0.5 + 0.3 * np.sin(TIME))
     other = Signals(TIME, {name: s[name] for name in ("motor_position", "link_position")})
     _, one = motion_and_load(s, SILENT)

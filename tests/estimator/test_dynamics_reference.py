@@ -179,7 +179,7 @@ def test_it_is_the_textbooks_filter(name, process, noise):
     assert loudest > record["high"]
 
 
-def test_at_one_count_the_torque_is_told_no_better_than_the_count_tells_it():
+def test_variance_of_the_torque_at_one_count_grows_to_the_counts():
     """A drive at rest: a count wide, uniform, through wave generator and flexspline in series; all of it from 0.1 s."""
     _, known = seen("plain")
     count, q = 4e-3, known.p
@@ -197,7 +197,7 @@ def test_at_one_count_the_torque_is_told_no_better_than_the_count_tells_it():
 
 
 @pytest.mark.parametrize("name", ["dynamics_ekf", "dynamics_ukf"])
-def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
+def test_a_delayed_link_encoder_makes_a_delayed_filter_that_predicts_to_now(name):
     """At the instant that the link encoder shows, it is the filter of an encoder that is not late; and now, not far from it."""
     delay, samples = 6e-3, 6
     signals, known = seen("plain")
@@ -242,7 +242,7 @@ def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
 
 
 @pytest.mark.parametrize("name", ["dynamics_ekf", "dynamics_ukf"])
-def test_from_the_late_instant_to_now_by_the_model_and_the_motor_encoder(name):
+def test_prediction_to_now_by_the_model_and_the_motor_encoder(name):
     """Sample by sample, through what the drive was given since: the external torque along the line through its last six delays,
     known as that; the covariance by the last Jacobian and the process noise, less by every reading of the motor encoder."""
     delay = 5.7e-3

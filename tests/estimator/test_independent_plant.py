@@ -46,7 +46,7 @@ def test_drawn_joints(imperfect, mean, worst):
     "name",
     ["augmented", "momentum", "momentum_torsion", "dynamics_ekf", "dynamics_ukf", "rts_smoother", "payload_smoothed"],
 )
-def test_load_of_an_arm_reaches_who_uses_the_link_s_balance(arm, name):
+def test_load_of_an_arm_reaches_estimators_with_the_links_balance(arm, name):
     """Without contact at the shoulder, the median of the external torque is less than half of that without the elbow's."""
     signals, run = arm
     estimator, median = registry.get(name), {}

@@ -186,7 +186,7 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
 @pytest.mark.fast_every(16)  # of every eighth case the sweep
 @pytest.mark.parametrize("push", [False, True], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
-def test_told_of_an_effect(case, push):
+def test_known_effect(case, push):
     check(case, push, CHEAP)
 
 
@@ -197,13 +197,13 @@ FEW = [pytest.param(case, marks=pytest.mark.long) if i % 6 else case for i, case
 @pytest.mark.slow
 @pytest.mark.parametrize("push", [False, PUSHED], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", FEW, ids=[case.name for case in CASES])
-def test_told_of_an_effect_with_the_dynamics(case, push):
+def test_known_effect_with_the_dynamics(case, push):
     check(case, push, tuple(name for name in CAUSAL if name not in CHEAP))
 
 
 @pytest.mark.fast_every(5)
 @pytest.mark.parametrize("name", READ)
-def test_told_of_an_effect_with_the_reading_alone(name):
+def test_known_effect_with_the_reading_only(name):
     """Without a known command the reading, less its known error, is used."""
     (case,) = (case for case in CASES if case.name == name)
     check(case, False, CHEAP, command=False)
@@ -219,7 +219,7 @@ def test_told_of_an_effect_with_the_reading_alone(name):
     ("load_dependent_friction", "current", 4.0), ("friction_temperature", "current", 1.5),
     ("discrepancy_mesh", "current", 1.7), ("link_flexibility", "dynamics_ekf", 1.2),
 ])  # fmt: skip
-def test_not_told_of_it(name, estimator, worse):
+def test_unknown_effect(name, estimator, worse):
     """The same effects, kept from the estimator: that they are ordinary does not make them small."""
     (case,) = (case for case in CASES if case.name == name)
     draws = DRAWS[:1]

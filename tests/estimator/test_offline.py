@@ -115,7 +115,7 @@ def test_a_drift_counts_from_the_recordings_start(free, joint):
         assert np.allclose(whole.torque[name][-n:][middle], after.torque[name][middle], atol=0.05), name
 
 
-def test_a_drive_that_tells_its_torque(free, joint):
+def test_a_drive_that_reports_its_torque(free, joint):
     columns = dict(free.columns)
     columns["motor_torque"] = columns.pop("motor_current") * joint.numbers["Kt"].value
     cut = part(replace(free, columns=columns), slice(0, 6000))
@@ -169,7 +169,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("missing", ["link_position", "motor_position"])
-def test_the_encoder_that_is_not_there_reads_what_the_torque_winds(missing, sweep, joint):
+def test_the_missing_encoder_follows_from_the_torque(missing, sweep, joint):
     """Through everything that is known of both: torsion of the angles behind the readings is that of the torque, of the current
     where the rotor's angle is read, of the link's own motion otherwise."""
     known = KnownJoint.of(joint, sweep.link).with_numbers(**ODD)
@@ -239,7 +239,7 @@ def test_a_band_is_two_sided(rng):
     assert list(columns) == ["time", "torque_x", "torque_x_low", "torque_x_high", "external_torque_x"]
 
 
-def test_estimators_from_current_see_no_more_than_its_noise_allows(free, joint):
+def test_bandwidth_of_estimators_from_current_is_limited_by_noise(free, joint):
     """Their low-pass is no faster than the bandwidth that the readings have; where that is below 15 Hz, three fifths as fast and
     without lag."""
     known = KnownJoint.of(joint, free.link)
@@ -260,7 +260,7 @@ def test_neither_current_nor_torque(free, joint):
 
 
 @pytest.mark.parametrize("gone", [(), ("link_position",), ("motor_position",), ("motor_current",), ("motor_torque",)])
-def test_what_a_recording_lacks_is_known_before_it_is_estimated(sweep, joint, gone):
+def test_missing_channels_are_known_before_estimation(sweep, joint, gone):
     recording = part(sweep, slice(0, 4000)).without(*gone)
     if gone == ("motor_torque",):  # in its place
         columns = {**recording.columns, "motor_torque": joint.numbers["Kt"].value * recording["motor_current"]}
@@ -272,7 +272,7 @@ def test_what_a_recording_lacks_is_known_before_it_is_estimated(sweep, joint, go
     assert not lacking(part(recording, slice(0, SHORTEST - 1)), names())
 
 
-def test_an_estimator_that_cannot_is_left_out(free, joint):
+def test_a_diverging_estimator_is_left_out(free, joint):
     """At 40 Hz there is no low-pass of 30 Hz; the others go on."""
     slow = part(free, slice(0, None, 25))
     found = estimate_recording(slow, joint, ["lowpass", "model", "current"])
@@ -348,7 +348,7 @@ def test_the_zero_is_the_most_probable_one(rng):
     np.testing.assert_allclose(std, np.sqrt(np.diag(of_zero - gain @ of_zero)), rtol=1e-6)
 
 
-def test_a_start_that_shakes_does_not_set_the_zero(rng):
+def test_a_shaky_start_does_not_set_the_zero(rng):
     """A tenth of the samples are ten times as far off as their noise says: they count accordingly."""
     n = 500
     compliance, direction = np.full(n, 1e-4), np.where(np.arange(n) // 100 % 2, -1.0, 1.0)
@@ -377,7 +377,7 @@ def test_a_joint_at_rest(rng, joint):
     assert all(np.isfinite(values).all() for values in found.columns.values())
 
 
-def test_a_band_holds_what_two_sensors_do_not_agree_on(free, joint):
+def test_a_band_contains_the_disagreement_of_two_sensors(free, joint):
     """Of an exact joint whose link encoder jumps: the band of the current's estimate is then as wide as both are apart, and that
     of a filter which believes to be off by σ at least that."""
     exact = joint.model_copy(update={"uncertainty": Uncertainty(names=["Kt"], factor=[[1e-9]], discrepancy={})})
@@ -400,7 +400,7 @@ def test_a_band_holds_what_two_sensors_do_not_agree_on(free, joint):
 @pytest.mark.fast_every(2)
 @pytest.mark.parametrize("column", ["link_position", "motor_position"])
 @pytest.mark.parametrize("first", [0, 3])
-def test_of_an_encoder_that_is_held_the_torsion_is_held(column, first):
+def test_a_held_encoder_is_filled_in_for_torsion(column, first):
     """On a bus of 125 Hz in a log of 1 kHz: an angle 8 ms old was a torsion of newton metres, and RAREKF 2.4 N·m off."""
     drawn = draw(Challenge(seed=11, hidden="none", exact=True, scenarios=("link_sweep",)), 0)
     (r,) = drawn.measurement.recordings

@@ -106,7 +106,7 @@ def test_gamma_too_small():
 
 
 @pytest.mark.parametrize("L", [1.0, 3.0])
-def test_a_little_more_than_the_gamma_that_is_asked_for_is_enough(L, known, signals):
+def test_slightly_more_than_the_reported_gamma_is_enough(L, known, signals):
     """At the step that failed, over measurements and in the estimator alike."""
     settings = PaperFilter(rule="robust", gamma=0.01, L=L)
     torque = get("model").estimate(signals, known).mean

@@ -222,7 +222,7 @@ def test_momentum_observer(known):
 
 
 @pytest.mark.parametrize("name", ["momentum", "momentum_torsion", "current", "current_smoothed"])
-def test_power_passes_the_gear_whatever_its_kinematic_error(name, known):
+def test_power_passes_the_gear_with_any_kinematic_error(name, known):
     """Without friction and inertia what the current puts in comes out: Kt·i·ωm = T·ωl, ωl where the torsion is that of no torque.
     A kinematic error by which the ratio goes up and down by a fifth, passed slowly."""
     none = dict.fromkeys(("Fc", "Fs", "bm", "bw", "bl", "Mg", "s1", "Jl", "Jm", "Jw"), 0.0)
@@ -345,7 +345,7 @@ def test_observers_find_a_payload(known):
 
 @pytest.mark.parametrize("place", ["motor_current", "rotor"])
 @pytest.mark.parametrize("name", ["current", "current_smoothed", "momentum", "payload_smoothed"])
-def test_what_goes_with_the_load_is_taken_off_by_the_load(name, place, known):
+def test_discrepancies_over_the_load_are_corrected(name, place, known):
     """A current sensor that reads 30 mA more for every newton metre, or a rotor that gets 2 mN·m more: known as a model
     discrepancy in the load, estimates are those of a joint without, though a fifth of the current is wrong."""
     joint = known.with_numbers(amplitude=0.0)

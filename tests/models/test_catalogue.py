@@ -38,7 +38,7 @@ def test_numbers_grow_with_size_and_are_ordered(series):
             assert one.rated_torque < one.peak_torque
 
 
-def test_it_knows_what_stands_in_a_table():
+def test_tabulated_gears_are_exact():
     assert gear("CSG", 25, 100).exact and not gear("CSG", 25, 101).exact and not gear("CSG", 22, 100).exact
     assert gear("LCSG", 25, 100).like == "CSG" and gear("csg", 25, 100).name == "CSG-25-100"
 
@@ -46,7 +46,7 @@ def test_it_knows_what_stands_in_a_table():
 @pytest.mark.parametrize(
     ("asked", "expected"), [(("CSQ", 25, 100), "did you mean"), (("CSG", 5, 100), "size"), (("CSG", 25, 10), "ratio")]
 )
-def test_gears_that_nobody_makes(asked, expected):
+def test_impossible_gears_are_refused(asked, expected):
     with pytest.raises(InputError, match=expected):
         gear(*asked)
 

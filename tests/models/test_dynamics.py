@@ -98,7 +98,7 @@ def test_balance_of_the_plain_joint(rng):
             np.testing.assert_allclose(got, rates[3:6], rtol=1e-9, atol=1e-8)
 
 
-def test_what_the_drive_transmits_is_the_flexsplines_torque(rng):
+def test_the_drive_transmits_the_flexsplines_torque(rng):
     """Rotor and wave generator as one body: from current and motion to Tf, the way `balance` goes back."""
     for _ in range(50):
         record = with_everything(rng)
@@ -223,7 +223,7 @@ def test_flexible_step_is_exact_where_the_links_acceleration_is_straight():
             np.testing.assert_allclose(got, solved.y[:, -1], rtol=1e-9, atol=1e-12)
 
 
-def test_flexible_torque_is_what_the_part_does_not_accelerate():
+def test_flexible_torque_balances_the_parts_acceleration():
     p = flexible(0.3, 12.0, 0.05)
     rates = derivative(0.0, [0.0] * 8 + [1e-3, 0.4], numbers(np.array([p])), 0.0, 0.0)
     inertia = 0.3 * p["Jl"]

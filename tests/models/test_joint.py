@@ -169,7 +169,7 @@ def numbers_of(data: object, field: str = "") -> Iterator[tuple[str, dict]]:
             yield from numbers_of(one, f"{field}.{key}".lstrip("."))
 
 
-def test_an_unknown_shared_tolerance_is_told_of_every_number():
+def test_an_unknown_shared_tolerance_is_reported_for_every_number():
     """Of all that calibration moves, at any place; `check` names two at once."""
     data = load_joint("test-joint").model_dump(mode="json")
     data["gravity_angle"] = {"value": 0.0, "unit": "rad", "deviation": 0.01, "source": "mounting"}
@@ -184,7 +184,7 @@ def test_an_unknown_shared_tolerance_is_told_of_every_number():
         assert str(caught.value) == message
 
 
-def test_a_sensor_may_read_the_other_way_round(tmp_path):
+def test_a_sensor_may_be_reversed(tmp_path):
     path = changed(tmp_path, "gain: {value: 1,", "gain: {value: -1,")
     assert load_joint(path).record()[0]["torque_gain"] == -1.0
 
@@ -317,7 +317,7 @@ def test_bad_effects_are_named():
         ("torque_constant", "value", {"value": 0.06, "std": -1.0}, "std: expected greater than or equal to 0"),
     ],
 )
-def test_effects_of_no_sense_are_one_line(name, parameter, value, expected):
+def test_invalid_effects_are_one_line(name, parameter, value, expected):
     """Range and unit are those of the cause; a unit that is left out is the cause's."""
     joint = load_joint("test-joint")
     cause = causes.get(name)
@@ -357,7 +357,7 @@ def test_repeated_effects(effects, expected):
     assert expected in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_effects_that_add_may_stand_beside_each_other():
+def test_additive_effects_may_repeat():
     data = load_joint("test-joint").model_dump()
     data["effects"] = [effect("gravity_moment", scale=1.1), effect("gravity_moment", scale=1.2)]
     data["effects"] += [effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in (2, 3, 4)]
@@ -374,7 +374,7 @@ def test_a_model_elsewhere_is_refused(tmp_path, model):
         load_joint(changed(tmp_path, "model: test_joint.xml", f"model: {model!r}"))
 
 
-def test_an_mjcf_that_contradicts_the_description_is_told(tmp_path):
+def test_an_mjcf_that_contradicts_the_description_is_reported(tmp_path):
     """The description's numbers count; a tolerance's width is no contradiction, and a fit keeps what it was."""
     text = load_joint("test-joint").mjcf.read_text()
     path = changed(tmp_path, "model: test_joint.xml", "model: own.xml")
@@ -413,7 +413,7 @@ def test_a_path_in_a_file_is_relative_to_that_file(tmp_path, monkeypatch):
         load_joint("joint.yaml", beside=tmp_path)
 
 
-def test_a_pipe_is_no_description(tmp_path):
+def test_a_pipe_is_refused(tmp_path):
     os.mkfifo(tmp_path / "joint.yaml")
     with pytest.raises(InputError, match="cannot read a joint description: not a file"):
         load_joint(tmp_path / "joint.yaml")
@@ -452,7 +452,7 @@ def test_numbers_that_may_be_left_out(tmp_path):
     assert [p[name] for name in OPTIONAL_SYMBOLS] == [0.5, 1e-4, 0.8, 32]
 
 
-def test_a_sensor_that_nobody_knows_is_named(tmp_path):
+def test_an_unknown_sensor_is_named(tmp_path):
     with pytest.raises(InputError, match=r"sensors: joint_torqe: unknown key; did you mean 'joint_torque'\?"):
         load_joint(changed(tmp_path, "  joint_torque:\n", "  joint_torqe: {noise: 1}\n  joint_torque:\n"))
 
@@ -561,7 +561,7 @@ def test_a_file_that_is_no_description_is_not_quoted(tmp_path, text):
     assert all("secret" not in str(problem) for problem in check(path).problems)
 
 
-def test_a_folder_for_a_description_is_said_once(tmp_path):
+def test_a_folder_for_a_description_is_one_message(tmp_path):
     with pytest.raises(InputError) as caught:
         load_joint(tmp_path)
     assert str(caught.value) == f"{tmp_path}: cannot read a joint description: not a file"

@@ -94,7 +94,7 @@ def test_wave_generator_inverts_equation_5(p):
         assert laws.wave_generator_spring(torsion, p) == pytest.approx(torque, rel=1e-8, abs=1e-13)
 
 
-def test_wave_generator_goes_on_beyond_its_logarithm(p):
+def test_wave_generator_continues_beyond_its_logarithm(p):
     """δ = 1/(Cw·Kw0) is the end of Eq. (5); beyond it the torque continues as a straight line, not as NaN."""
     end = (1 - 1e-6) / (20 * 1.14)
     x = end + np.array([-1e-9, 0, 1e-9, 1e-4, 1e-2, 1.0])

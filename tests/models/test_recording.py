@@ -65,7 +65,7 @@ def test_one_position_and_one_torque_are_a_recording(tmp_path, position, torque)
         r.without(torque)
 
 
-def test_what_a_recording_would_be_without_a_sensor():
+def test_a_recording_without_a_sensor():
     pushed = recording(external_torque=np.ones(50), external="measured")
     less = pushed.without("external_torque", "link_position")
     assert (less.external, sorted(less.columns)) == ("unmeasured", ["motor_current", "motor_position"])
@@ -96,7 +96,7 @@ def test_gaps_split_into_segments():
 
 
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
-def test_samples_a_tenth_of_a_second_apart_are_no_gaps_however_they_round(start):
+def test_samples_a_tenth_of_a_second_apart_are_not_gaps(start):
     t = start + 0.1 * np.arange(50)
     assert np.any(np.diff(t) > 0.1)
     assert recording(n=50, time=t).gaps == ()
@@ -257,7 +257,7 @@ def test_a_number_that_no_sensor_reads_is_refused(value):
         recording(motor_current=np.where(np.arange(50) == 2, value, 0.0))
 
 
-def test_a_table_in_several_groups_of_rows_some_of_them_empty_is_read_as_one(tmp_path):
+def test_a_table_in_several_groups_of_rows_is_read_as_one(tmp_path):
     path = write_recording(recording(n=100), tmp_path)
     table = pq.read_table(path)
     with pq.ParquetWriter(path, table.schema) as writer:
@@ -273,7 +273,7 @@ def test_utf_16_is_read(tmp_path):
     np.testing.assert_array_equal(read_measurement(path).recordings[0]["motor_current"], [3.0, 3.0])
 
 
-def test_a_log_with_columns_of_its_own_is_sent_to_import(tmp_path):
+def test_an_unknown_column_suggests_import(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time,motor_position,motor_current,status\n0,1,2,3\n")
     path.with_suffix(".yaml").write_text("format: 1\njoint: test-joint\nlink: {inertia: 0.35, gravity_moment: 9.0}\n")
@@ -281,7 +281,7 @@ def test_a_log_with_columns_of_its_own_is_sent_to_import(tmp_path):
         read_measurement(path)
 
 
-def test_a_column_whose_name_is_no_text_is_refused_in_one_line(tmp_path):
+def test_a_column_with_an_undecodable_name_is_one_line(tmp_path):
     """A damaged byte in a name was a UnicodeDecodeError: names are decoded when they are asked for."""
     path, n = tmp_path / "log.parquet", np.arange(100.0)
     units = {"time": "s", "motor_position": "rad", "motor_current": "A"}

@@ -50,7 +50,7 @@ def test_other_signals_are_made_not_changed(signals):
         ([0.0, 1.0], {"motor_current": [1.0, np.inf]}, "motor_current: expected finite"),
     ],
 )
-def test_what_is_no_signal_is_named(time, columns, words):
+def test_invalid_signals_are_named(time, columns, words):
     with pytest.raises(InputError, match=words):
         Signals(np.array(time), {name: np.array(values) for name, values in columns.items()})
 

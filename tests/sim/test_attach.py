@@ -128,7 +128,7 @@ def test_energy_of_a_six_axis_arm_is_kept():
     assert abs(totals[-500:].mean() - totals[:500].mean()) < 2e-2
 
 
-def test_somebodys_model():
+def test_a_users_model():
     """Keyframes, numerics, a limited tendon, contacts, an actuator with an inherited range: all as before, with gears."""
     plain = mujoco.MjModel.from_xml_string(SOMEBODYS)
     model, data = attached(SOMEBODYS, "shoulder", "elbow")
@@ -184,7 +184,7 @@ def test_states_are_saved_copied_reset_and_rolled_out():
     np.testing.assert_array_equal(data.plugin_state, mujoco.MjData(model).plugin_state)
 
 
-def test_no_global_callback_is_taken():
+def test_global_callbacks_are_unchanged():
     """Others' callbacks act next to the gear, and none is set for it."""
     import ctypes
 
@@ -249,7 +249,7 @@ def test_numbers_of_a_configuration_can_be_edited():
         (arm(1).replace("<worldbody>", '<compiler settotalmass="3"/><worldbody>'), "j0", "change the inertia of the rotor"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_attached_is_one_line_and_changes_nothing(text, name, message):
+def test_an_impossible_attachment_is_one_line_and_changes_nothing(text, name, message):
     spec = mujoco.MjSpec.from_string(text)
     before = [one.name for one in spec.bodies]
     with pytest.raises(InputError, match=message) as error:

@@ -66,7 +66,7 @@ def test_no_drift_in_ten_seconds(mounting, start, timestep, changes):
 @pytest.mark.fast_every(5)
 @pytest.mark.parametrize("mounting", ["no_load", "link"])
 @pytest.mark.parametrize("effect", ["none", "own bristle", "hysteresis", "backlash", "flexible"])
-def test_friction_only_takes(mounting, effect):
+def test_friction_only_removes_energy(mounting, effect):
     """With friction and damping on and no input, the energy never exceeds what it was, but for the ripple of one step."""
     changes = {
         "none": {},

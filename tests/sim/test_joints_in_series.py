@@ -327,7 +327,7 @@ def test_energy_is_kept():
     assert max(kinetic) > 0.5 * means[0]
 
 
-def test_in_any_pieces_the_same():
+def test_parts_of_a_run_are_equal_to_the_whole():
     joints = two()
     model, whole = arm.build(joints), run(joints)
     loop = ClosedLoop(model, [driven(one, *swing) for one, swing in zip(joints, swings(), strict=True)])

@@ -212,7 +212,7 @@ def test_same_seed_same_bits_and_other_noise_elsewhere():
     assert (a.readings["link_position"] != c.readings["link_position"]).mean() > 0.2
 
 
-def test_a_model_serves_many_threads_and_is_left_as_it_is():
+def test_a_model_serves_many_threads_and_is_unchanged():
     """Temperatures and switches that the loop sets on its way are its own."""
     model = plant.build(JOINT, JOINT.mount("link"))
     flags = model.opt.disableflags
@@ -289,7 +289,7 @@ def test_a_new_sensor_is_one_channel_and_its_law(tmp_path):
     assert done.stdout.strip() == "done", done.stderr[-2000:]
 
 
-def test_a_payload_that_hangs_by_a_spring_is_felt_by_the_sensor():
+def test_a_flexible_payload_shows_in_the_sensor():
     """The wrench about the axis stays the joint's torque where part of the link's inertia swings on its own."""
     record = record_of(flexible_share=0.3, flexible_frequency=18.0, flexible_damping=0.02)
     s = run(sensing(), record=record)

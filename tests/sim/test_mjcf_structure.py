@@ -103,7 +103,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_no_joint_is_refused_in_one_line(tmp_path, monkeypatch, case):
+def test_an_mjcf_without_a_joint_is_one_line(tmp_path, monkeypatch, case):
     old, new, expected = REFUSED[case]
     joint = joint_with(tmp_path, old, new)
     monkeypatch.chdir(tmp_path)
@@ -140,7 +140,7 @@ LOOKS = {
 
 @pytest.mark.parametrize("case", [*LOOKS, *ACTS])
 @pytest.mark.filterwarnings("ignore:.*in the MJCF:flexspline.models.errors.InputWarning")
-def test_it_changes_nothing_of_the_motion(tmp_path, case):
+def test_the_mjcfs_dynamics_do_not_change_the_motion(tmp_path, case):
     """Geometry and colours are the MJCF's; what acts is the YAML's alone: the same motion to the bit."""
 
     def moved(joint):
@@ -223,7 +223,7 @@ def test_an_include_that_includes_itself_ends(tmp_path):
         plant.build(joint_with(tmp_path, END, '<include file="loop.xml"/>' + END))
 
 
-def test_files_in_the_folder_are_welcome(tmp_path):
+def test_files_in_the_folder_are_accepted(tmp_path):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "lamp.xml").write_text(
         '<mujocoinclude><worldbody><light pos="0 0 2"/></worldbody></mujocoinclude>', encoding="utf-8"

@@ -181,7 +181,7 @@ def test_friction_follows_the_temperature():
 
 
 @pytest.mark.parametrize("share, frequency, damping", [(0.15, 25.0, 0.01), (0.3, 14.0, 0.03), (0.4, 10.0, 0.05)])
-def test_a_link_that_is_not_rigid_rings_at_its_own_frequency(share, frequency, damping):
+def test_a_flexible_link_oscillates_at_its_own_frequency(share, frequency, damping):
     """The rotor held, the springs nearly rigid, the link let go: the flexible part rings as with the link held.
 
     Frequency ω √(1 − ζ²) and logarithmic decrement 2πζ/√(1 − ζ²) of the free oscillation.
