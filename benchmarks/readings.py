@@ -21,7 +21,7 @@ import numpy as np
 from flexspline.estimator import recursion, registry
 from flexspline.models.errors import InputError
 from flexspline.models.files import write_into_place
-from flexspline.scenarios.evaluation.draws import draw_of, drawn_record, geometric, rms, told, varied
+from flexspline.scenarios.evaluation.draws import draw_of, drawn_record, geometric, known_within, rms, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.tables import markdown_table
@@ -67,7 +67,7 @@ def examined(seed: int) -> Iterator[Row]:
                 experiment = Experiment.of(varied(scenario, seed), home, load)
                 record = drawn_record(experiment, seed, tolerance, True)
                 simulation = experiment.simulate(seed, record, experiment.build(record))
-                one = draw_of(experiment, simulation, record, told(experiment.known, tolerance, True), seed)
+                one = draw_of(experiment, simulation, record, known_within(experiment.known, tolerance, True), seed)
                 y = np.ascontiguousarray(registry.get("model").estimate(one.signals, one.known).mean)
                 for reading in READINGS:
                     for v, variance in V.items():

@@ -24,7 +24,7 @@ from flexspline.estimator.estimator import Estimator, KnownJoint
 from flexspline.models.errors import InputError
 from flexspline.models.joint import LOCKED, Mounting
 from flexspline.models.kernels import kernel
-from flexspline.scenarios.evaluation.draws import drawn_record, told, varied
+from flexspline.scenarios.evaluation.draws import drawn_record, known_within, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import Scenario, Waypoint
 from flexspline.sim.drive import Controller, control
@@ -136,7 +136,7 @@ def assess(
     chosen = varied(scenario, seed)
     free = Experiment.of(chosen.model_copy(update={"feedback": "none"}), folder)
     record = drawn_record(free, seed, tolerance, tared=True)
-    known = told(free.known, tolerance, tared=True)
+    known = known_within(free.known, tolerance, tared=True)
     free = replace(free, known=known, fed_back=estimator)
     bench, fixed = bolted(free, record, known)
 

@@ -1,4 +1,4 @@
-"""The folder that holds a run: measurement, signals, estimates, measures, and all that is needed to run it again."""
+"""The folder of a run: measurement, signals, estimates, metrics, and everything to run it again."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ _UNITS = {
     "torque_rate": "N·m/s", "bristle": "rad", "dahl": "rad", "hysteresis": "rad", "torsion": "rad", "measurement": "N·m",
     "variance": "(N·m)²", "payload": "N·m", "payload_inertia": "kg·m²", "friction_error": "N·m",
 }  # fmt: skip
-"""Unit of a column whose name has this in it; the longest counts."""
+"""Unit of a column by a part of its name; the longest part counts."""
 _MAKER = "run"
 _NEEDED = ("scenario.yaml", "signals.parquet", "estimates.parquet", "joint.yaml", "known_joint.yaml")
 
 
 def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | None = None) -> Path:
-    """Write a run folder; nothing is left behind where that fails.
+    """Write a run folder, as a whole or not at all.
 
-    Holds `<name>.parquet` with its YAML (a measurement), `signals.parquet`, `estimates.parquet`, `metrics.json`,
+    It has `<name>.parquet` with its YAML (a measurement), `signals.parquet`, `estimates.parquet`, `metrics.json`,
     `scenario.yaml` (resolved), `joint.yaml`, `known_joint.yaml`, `run.json` (versions, seed).
 
     Args:
-      run: what to save.
+      run: to write.
       out: the folder.
-      views: what else is to be in it.
-      within: a folder that `out` must not lead out of.
+      views: functions that add files.
+      within: folder that must contain `out`.
 
     Raises:
-      InputError: it cannot be written, or holds files that are not a run's.
+      InputError: it cannot be written, or has files of something else.
     """
     with output_folder(out, _MAKER, whole=True, within=within) as folder:
         write_recording(run.as_recording(), folder)
@@ -64,7 +64,7 @@ def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | Non
 
 
 def _describe(run: Run, folder: Path) -> None:
-    """Write what a run's folder holds beside its tables."""
+    """Write the files of a run's folder that are not tables."""
     (folder / "metrics.json").write_text(json_text(run.metrics), encoding="utf-8")
     run.joint.write(folder / "joint.yaml")
     run.known_joint.write(folder / "known_joint.yaml")
@@ -75,13 +75,13 @@ def _describe(run: Run, folder: Path) -> None:
 
 
 def check_run_folder(scenario: Scenario, source: Path, out: Path, within: Path) -> None:
-    """Refuse, before a scenario is run, a folder that its run cannot be written to.
+    """Check before a run that its folder can be written.
 
     Args:
-      scenario: that is to run; source: its file; out: the folder; within: a folder that `out` must not lead out of.
+      scenario: to run; source: its file; out: the folder; within: folder that must contain `out`.
 
     Raises:
-      InputError: it cannot be written, holds files that are not a run's, or those that are to be read.
+      InputError: it cannot be written, or has files of something else or files that are read.
     """
     joints = scenario.load_joint(source.parent)
     read = [source, *(path for joint in joints for path in (joint.path, joint.mjcf))]
@@ -89,7 +89,7 @@ def check_run_folder(scenario: Scenario, source: Path, out: Path, within: Path) 
 
 
 def load_run(folder: Path) -> Run:
-    """Read a run folder back; `InputError` where it is none."""
+    """Read a run folder; `InputError` for another folder."""
     recover(folder)
     for name in _NEEDED:
         if not (folder / name).is_file():
@@ -117,7 +117,7 @@ def load_run(folder: Path) -> Run:
 
 
 def signal_columns(run: Run) -> dict[str, np.ndarray]:
-    """Every signal of a run by column name, shape (n,) each: time, commands, readings, `true_…`, the raw compliance model."""
+    """Return every signal of a run by column name, shape (n,) each: time, commands, readings, `true_…`, raw model."""
     truth, readings = run.simulation.truth, run.simulation.readings
     return {
         "time": run.time,
@@ -132,7 +132,7 @@ def signal_columns(run: Run) -> dict[str, np.ndarray]:
 
 
 def provenance(run: Run) -> dict[str, Any]:
-    """What a run depends on: seed, timestep, versions."""
+    """Return seed, timestep and versions of a run."""
     packages = ("flexspline", "mujoco", "numpy", "scipy", "numba")
     return {
         "format": 1,
@@ -145,7 +145,7 @@ def provenance(run: Run) -> dict[str, Any]:
 
 
 def _unit_of(column: str) -> str:
-    """SI unit of a column, by its name."""
+    """Return the SI unit of a column by its name."""
     known = own_sensors.channel(column)
     if known is not None:
         return known.unit
@@ -154,7 +154,7 @@ def _unit_of(column: str) -> str:
 
 
 def _estimate_columns(run: Run) -> tuple[dict[str, np.ndarray], dict[str, str], dict[str, dict[str, str]]]:
-    """Columns `quantity_filter`, their units, and which filter and quantity each of them is."""
+    """Return columns `quantity_filter`, their units, and the filter and quantity of each."""
     columns, units, of = {"time": run.time}, {"time": "s"}, {}
     estimators = run.scenario.estimators()
     for name, found in run.estimates.items():
@@ -167,13 +167,13 @@ def _estimate_columns(run: Run) -> tuple[dict[str, np.ndarray], dict[str, str], 
             of[column] = {"filter": name, "quantity": quantity}
         if found.untrusted is not None:
             of[f"torque_{name}"]["untrusted"] = found.untrusted
-        if found.nis is not None and "nis" not in found.columns:  # follows from the others
+        if found.nis is not None and "nis" not in found.columns:  # computed from the others
             columns[f"nis_{name}"], units[f"nis_{name}"] = found.nis, "1"
     return columns, units, of
 
 
 def _quantities(found: Posterior) -> dict[str, np.ndarray]:
-    """A posterior as columns, shape (n,) each."""
+    """Return a posterior as columns, shape (n,) each."""
     columns = {"torque": found.mean}
     if found.variance is not None:
         columns["variance"] = found.variance
@@ -191,7 +191,7 @@ def _quantities(found: Posterior) -> dict[str, np.ndarray]:
 
 
 def _numbered(quantity: str, m: int, *places: int) -> str:
-    """A name of m components' own: plain where there is one, else numbered from 1; of a diagonal, one number."""
+    """Return the name of one of m components: without number if m is 1, else counted from 1."""
     return quantity if m == 1 else f"{quantity}_{'_'.join(str(i + 1) for i in sorted(set(places)))}"
 
 

@@ -203,7 +203,7 @@ class Scenario(Strict):
         names = [f.name for f in self.filters]
         for i, name in enumerate(names):
             if name in names[:i] or name in ("none", "sensor"):
-                raise ValueError(f"filters.{i}.name: expected a name of its own, got {name!r}")
+                raise ValueError(f"filters.{i}.name: expected another name, got {name!r}")
         if self.feedback not in ("none", "sensor", *names):
             hint = nearest(self.feedback, names)
             raise ValueError(f"feedback: expected none, sensor or one of {names}, got {self.feedback!r}{hint}")

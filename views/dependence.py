@@ -1,4 +1,4 @@
-"""What a residual depends on: the share of it that a variable explains, its means, its orders per turn of the motor."""
+"""Dependence of a residual on variables: explained share, means, and orders per turn of the motor."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ VARIABLES = {
     "loading": "load, rising or falling [N·m]",
     "direction": "direction of motion",
 }
-"""What a residual may depend on, with the unit."""
+"""Variables that a residual may depend on, with units."""
 BINS = 36
 ORDERS = np.arange(0.5, 14.01, 0.5)
-"""Orders per turn of the motor at which a residual is looked at."""
+"""Orders per turn of the motor."""
 
 
 def explained(b: ResidualSeries, residual: np.ndarray, key: str) -> float:
-    """Share of a residual's mean square that its mean in bins of a variable explains, 0 … 1, less what chance does."""
+    """Return the share of a residual's mean square that its means in bins of a variable explain, 0 … 1, minus chance."""
     bins = _bins(b, key)
     count = np.bincount(bins)
     total = np.bincount(bins, residual)
     used = count > 20
     power = float(np.sum(total[used] ** 2 / count[used])) / max(float(np.sum(residual**2)), 1e-30)
-    chance = 8.0 * used.sum() / max(len(residual), 1)  # neighbouring samples are alike
+    chance = 8.0 * used.sum() / max(len(residual), 1)  # neighbouring samples are correlated
     return float(np.clip((power - chance) / max(1 - chance, 1e-9), 0.0, 1.0))
 
 
 def _bins(b: ResidualSeries, key: str) -> np.ndarray:
-    """Bin of every sample, shape (k,): of the variable, and for angle and load of the direction too."""
+    """Bin of every sample, shape (k,): of the variable, and for angle and load also of the direction."""
     x = b.variable(key)
     if key == "direction":
         return (x > 0).astype(int)
@@ -57,7 +57,7 @@ def strongest_variable(found: Sequence[ResidualSeries]) -> tuple[ResidualSeries,
 
 
 def means(x: np.ndarray, r: np.ndarray, limits: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Centres of the bins of a variable, and the mean of a residual in each; shape (BINS,), NaN where there is hardly any."""
+    """Return the centres of a variable's bins, and a residual's means; shape (BINS,) each, NaN for less than 9 samples."""
     low, high = limits
     i = np.clip(((x - low) / (high - low) * BINS).astype(int), 0, BINS - 1)
     count = np.bincount(i, minlength=BINS)
@@ -66,7 +66,7 @@ def means(x: np.ndarray, r: np.ndarray, limits: tuple[float, float]) -> tuple[np
 
 
 def orders(motor: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Amplitude of the residual at each of `ORDERS` per turn of the motor, shape (len(ORDERS),), by least squares.
+    """Return the amplitude of a residual at each of `ORDERS`, shape (len(ORDERS),), by least squares.
 
     Args:
       motor: motor angle [rad], shape (k,).

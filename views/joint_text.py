@@ -1,4 +1,4 @@
-"""A joint in a terminal of 80 columns: its curves, frequencies, what its encoders resolve, what a diagnosis could see."""
+"""Properties of a joint in a terminal of 80 columns."""
 
 from __future__ import annotations
 
@@ -17,30 +17,25 @@ if TYPE_CHECKING:
     from ..models.joint import Joint
 
 WIDTH = 80
-"""Columns within which everything stays."""
+"""Largest width in columns."""
 _SHARES = (0.1, 0.5, 1.0, 2.0)  # of the rated torque
 
 
 def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str]]) -> RenderableType:
-    """A joint for the terminal.
-
-    Args:
-      joint: the description; c: what it comes to.
-      seen: causes by what a diagnosis could make of them, a heading each.
-    """
+    """Return a joint for the terminal; arguments as of `figures.joint.joint_figure`."""
     number = {symbol: one.value for symbol, one in joint.numbers.items()}
     first = Text.assemble((joint.name, "bold"), f": ratio {number['N']:g}, rated {number['rated_torque']:g} N·m; ")
     first.append(f"the motor gives {c.largest_torque:.3g} N·m and {c.no_load_speed:.3g} rad/s")
     return Group(
         first, Text("\n".join(textwrap.wrap(" ".join(joint.description.split()), WIDTH)), style="dim"), "",
         _stiffness(c, number["rated_torque"]), Text(_hysteresis(c)), "", _resonances(c, number["rated_torque"]),
-        Text("\n".join(_encoders(c))), "", Text("What a diagnosis could see", style="bold"), *(_causes(seen)),
+        Text("\n".join(_encoders(c))), "", Text("Causes that a diagnosis can detect", style="bold"), *(_causes(seen)),
     )  # fmt: skip
 
 
 def _stiffness(c: Characteristics, rated: float) -> RenderableType:
     table = narrow_table(
-        "Stiffness, rotor locked, friction aside", "±: one standard deviation of the description's tolerances"
+        "Stiffness, rotor locked, without friction", "±: one standard deviation of the description's tolerances"
     )
     table.add_column("")
     torques = [share * rated for share in _SHARES]

@@ -1,4 +1,4 @@
-"""Figures of what is possible: error beside the bound, consistency, noise against delay."""
+"""Figures of limits: errors and the bound, consistency, noise against delay."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ _SHOWN = (
     "dynamics_ukf",
     "rts_smoother",
 )
-"""Whose error is drawn over time where there are many."""
+"""Estimators whose error is drawn over time, if there are many."""
 
 
 def contender_color(name: str) -> str:
-    """Colour of an estimator; the same everywhere."""
+    """Return the colour of an estimator, which is the same in all figures."""
     return FILTERS.get(name) or BASELINES.get(name, "#444A52")
 
 
 @styled
 def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
-    """RMS error over time beside the bounds; NIS and NEES with their intervals; autocorrelation of the innovations.
+    """Draw RMS errors and bounds over time; NIS and NEES with intervals; autocorrelation of the innovations.
 
     Args:
         limits: of a scenario.
-        shown: whose error to draw over time; all up to nine, else the best-known ones.
+        shown: estimators to draw over time; by default all up to nine, else the best known.
     """
     every = limits.estimators
     names = list(shown) or [e.name for e in every]
     if len(names) > len(_SHOWN) and not shown:
         names = [e.name for e in every if e.name in _SHOWN]
     tolerant = (
-        f"Dotted: the first for a joint that is known within {limits.tolerance:g} × its tolerances, which are the prior; RMS "
+        f"Dotted: for a joint that is known within {limits.tolerance:g} × its tolerances, which are the prior; RMS "
         f"{limits.tolerance_bound_rms:.4f} N·m. "
         if limits.tolerance > 0.0
         else ""
@@ -68,9 +68,9 @@ def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
         f"joint's dynamics with encoders and current command, external torque a random walk of {limits.intensity:.3g} N·m/√s "
         f"(the scenario's own: {limits.fitted:.3g}); RMS {limits.bound_rms:.4f} N·m. Dashed: the paper's model, joint torque "
         f"as a random walk of {limits.torsion_intensity:.3g} N·m/√s seen through the torsion; RMS "
-        f"{limits.torsion_bound_rms:.4f} N·m. {tolerant}All are averaged over the seeds' truths and take the "
-        "encoders' counts for Gaussian noise: a single run may come out below. Bars: 95 % intervals of a filter that knows its "
-        "covariance; χ², NIS of all samples, NEES of one error per run. Shaded at the right: 95 % band of white innovations."
+        f"{limits.torsion_bound_rms:.4f} N·m. {tolerant}All are means over the seeds' truths, with encoder counts as Gaussian "
+        "noise: a single run may be below. Bars: 95 % intervals (χ²) of a filter with the right covariance, NIS of all samples, "
+        "NEES of one error per run. Shaded at the right: 95 % band of white innovations."
     )
     shown_ones = [e for e in every if e.name in names and e.error.size]
     rows = -(-(len(shown_ones) + 2) // 4)
@@ -100,12 +100,12 @@ def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
 
 @styled
 def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str = "Noise against delay") -> Figure:
-    """Noise in steady state against delay to a push: a curve per filter, its defaults and tuned settings marked."""
+    """Draw noise in steady state over delay to a push: a curve per filter, with its defaults and tuned settings."""
     caption = (
-        f"{scenario}, {seeds} test seeds. Along a curve a filter's tuning parameters change; only settings are drawn of which no "
-        "other of that filter has both less noise and less delay. Circle: default settings; star: tuned for the RMS error. "
-        "Delay: the shift of the truth that explains the estimate best around the pushes; noise: standard deviation of the "
-        "error's part faster than 0.2 s, in steady state. Below and to the left is better."
+        f"{scenario}, {seeds} test seeds. Along a curve, a filter's tuning parameters change; only settings are drawn that no "
+        "other setting of the filter beats in both noise and delay. Circle: defaults; star: tuned for the RMS error. Delay: the "
+        "shift of the truth that explains the estimate best around the pushes; noise: standard deviation of the error's part "
+        "faster than 0.2 s, in steady state. Lower left is better."
     )
     figure = blank(title, caption, 0.6 + 5.0 + 0.6)
     axes = place(figure, LEFT, 0.6, WIDTH - LEFT - _LEGEND, 5.0)
@@ -128,7 +128,7 @@ def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str
 
 
 _LEAST_DELAY = 0.1  # ms
-_NAMES, _SMALL, _LEGEND = 1.45, 1.35, 2.05  # in: estimators' names beside a panel, a small panel, a legend of names
+_NAMES, _SMALL, _LEGEND = 1.45, 1.35, 2.05  # in: names left of a panel, a small panel, a legend
 _DPI = 110
 
 
@@ -152,7 +152,7 @@ def _consistency(axes: Axes, estimators: Sequence[Assessment], which: str, label
 
 
 def _plain(axis: Axis, limits: tuple[float, float]) -> None:
-    """Numbers as they are written, at 1, 2, 5 of each decade where there are few."""
+    """Use plain numbers, at 1, 2, 5 of each decade on a short axis."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if limits[1] < 30 * limits[0] else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

@@ -8,7 +8,7 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number for people: powers of ten only far from 1; also one that is none, as numbers of 10³⁰⁸ come to."""
+    """Return a number as text, with powers of ten only far from 1; also infinity and NaN."""
     if math.isfinite(value) and value != 0 and not 1e-3 <= abs(value) < 1e5:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         return f"{float(mantissa):g}·10".replace("-", "−") + str(int(exponent)).translate(_SUPERSCRIPT)
@@ -17,13 +17,13 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def percent(share: float, decimals: int = 0, sign: bool = False) -> str:
-    """A share of 1 in percent, with the sign of a change if asked for."""
+    """Return a share of 1 in percent; `sign`: with the sign of a change."""
     rounded = round(100 * share, decimals) + 0.0
     return f"{rounded:{'+' if sign and rounded else ''}.{decimals}f} %".replace("-", "−")
 
 
 def with_std(value: float, std: float, unit: str) -> str:
-    """`0.2821 ± 0.0002 N·m`: as many digits as the standard deviation bears; without it where it is not above zero."""
+    """Return `0.2821 ± 0.0002 N·m`, with the digits that the standard deviation allows; without it if it is not positive."""
     tail = f" {unit}" if unit and unit != "1" else ""
     if not 0 < std < math.inf:
         return f"{number(value)}{tail}"

@@ -1,4 +1,4 @@
-"""What a run's estimators said of themselves, read for showing: modes, innovations, the time that counts."""
+"""Modes and innovations of a run's estimators for views."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ if TYPE_CHECKING:
 
 
 def settled(run: Run) -> np.ndarray:
-    """After the transient, shape (n,), bool."""
+    """Return the samples after the transient, shape (n,), bool."""
     return run.time >= run.scenario.transient
 
 
 def modes(run: Run, name: str) -> np.ndarray:
-    """Whether a filter is in robust mode, shape (n,); never, where it has no modes."""
+    """Return whether a filter is in robust mode, shape (n,), bool; never for a filter without modes."""
     robust = run.estimates[name].robust
     return np.zeros(len(run.time), dtype=bool) if robust is None else robust
 
 
 def robust_share(run: Run, name: str, part: np.ndarray) -> float:
-    """Share of the time in robust mode [%], in a part of the samples."""
+    """Return the share of robust mode [%] in a part of the samples."""
     return 100 * float(np.mean(modes(run, name)[part]))
 
 
 def switching(run: Run) -> list[str]:
-    """Filters that switch between optimal and robust mode; the others are always in one of them."""
+    """Return the filters that switch between optimal and robust mode."""
     kept = settled(run)
     return [name for name in run.estimates if 0 < np.mean(modes(run, name)[kept]) < 1]
 
 
 @dataclass(frozen=True)
 class Innovation:
-    """What a filter of one measurement was surprised by; n samples.
+    """Innovation of a filter with one measurement; n samples.
 
     Attributes:
       values: in the filter's unit, shape (n,).
-      deviation: standard deviation √P_Y that it expected, shape (n,).
+      deviation: expected standard deviation √P_Y, shape (n,).
       nis: normalised innovation squared, shape (n,).
     """
 
@@ -49,7 +49,7 @@ class Innovation:
 
 
 def innovations(run: Run) -> dict[str, Innovation]:
-    """Innovations of the filters of one measurement that state them with their variance."""
+    """Return the innovations of filters with one measurement, if they have a variance."""
     found = {}
     for name, one in run.estimates.items():
         nis = one.nis

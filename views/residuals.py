@@ -1,7 +1,4 @@
-"""A diagnosis' residuals, read for showing: over time, and as torque balances with what they may depend on.
-
-Nothing is computed anew: residuals, motion and noise are those that the diagnosis holds.
-"""
+"""A diagnosis' residuals for views: over time, and as torque balances with the variables that they may depend on."""
 
 from __future__ import annotations
 
@@ -18,22 +15,22 @@ if TYPE_CHECKING:
 
 CHANNELS = ("motor_current", "joint_torque", "link_balance")
 """Channels of a residual, in the order of its columns."""
-_LEAST = 200  # samples below which nothing is shown against a variable
+_LEAST = 200  # samples for a view over a variable
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """One channel of one recording; k samples, not finite between its segments.
+    """One channel of one recording; k samples, NaN between its segments.
 
     Attributes:
       name: of the recording.
       channel: one of `CHANNELS`.
       unit: of all values.
       time: since the recording's start [s], shape (k,).
-      measured: shape (k,), or None where only the residual means something.
-      before, after: residuals, shape (k,); not finite where they do not count.
-      noise: rms that the sensors' noise leaves in a residual.
-      held_out: parts of the time that no fit saw [s].
+      measured: shape (k,), or None if there is only a residual.
+      before, after: residuals, shape (k,); NaN where they are not used.
+      noise: RMS of the residual by the sensors' noise.
+      held_out: held-out parts of the time [s].
     """
 
     name: str
@@ -49,7 +46,7 @@ class Overlay:
 
 @dataclass(frozen=True)
 class ResidualSeries:
-    """A torque balance's residual with what it may depend on, all recordings joined; k samples that count.
+    """A torque balance's residual and the variables that it may depend on, of all recordings; k used samples.
 
     Attributes:
       channel: one of `CHANNELS`.
@@ -73,27 +70,27 @@ class ResidualSeries:
     rising: np.ndarray
 
     def variable(self, key: str) -> np.ndarray:
-        """Values of one of `dependence.VARIABLES`, shape (k,)."""
+        """Return the values of one of `dependence.VARIABLES`, shape (k,)."""
         return {
             "time": self.time, "link": self.link, "turn": np.mod(self.motor, 2 * np.pi), "velocity": self.velocity,
             "load": self.load, "loading": self.load, "direction": np.sign(self.velocity),
         }[key]  # fmt: skip
 
     def limits(self, key: str) -> tuple[float, float]:
-        """Range over which a variable is shown: all but its rarest values."""
+        """Return the range of a variable without its rarest values."""
         if key == "turn":
             return 0.0, 2 * np.pi
         low, high = np.percentile(self.variable(key), [0.2, 99.8])
         return float(low), max(float(high), float(low) + 1e-9)
 
     def sides(self, key: str) -> tuple[np.ndarray, np.ndarray]:
-        """Which samples belong to the two lines of a panel: forward and backward, or rising and falling; shape (k,) each."""
+        """Return which samples are forward and backward, or rising and falling; shape (k,) each, bool."""
         first = self.rising if key == "loading" else self.velocity > 0
         return first, ~first
 
 
 def overlays(report: Report) -> list[list[Overlay]]:
-    """Channels that the measurement has, each with its recordings."""
+    """Return the measured channels, each with its recordings."""
     d, segments = report.diagnosis, _segments(report)
     found = []
     for c, channel in enumerate(CHANNELS):
@@ -115,9 +112,9 @@ def _overlay(report: Report, c: int, name: str, pieces: list[int]) -> Overlay:
     measured, before, after = [], [], []
     for s, segment in zip(pieces, segments, strict=True):
         use = _counts(segment, c)
-        if c < 2:  # at rest friction is anything up to its level
+        if c < 2:  # at rest, friction is not determined
             use &= ~segment.at_rest
-        # What is measured of the link's balance is the torque that the sensor reports.
+        # The measured value of the link's balance is the torque sensor's.
         measured.append(segment.measured[:, min(c, 1)])
         before.append(np.where(use, d.before[s][:, c], np.nan))
         after.append(np.where(use, d.after[s][:, c], np.nan))
@@ -136,7 +133,7 @@ def _overlay(report: Report, c: int, name: str, pieces: list[int]) -> Overlay:
 
 
 def balances(report: Report) -> list[ResidualSeries]:
-    """The torque balances that the measurement has, with at least 200 samples that count."""
+    """Return the measured torque balances with at least 200 used samples."""
     d = report.diagnosis
     found = []
     for c, balance in enumerate(CHANNELS):
@@ -159,18 +156,18 @@ def balances(report: Report) -> list[ResidualSeries]:
 
 
 def _segments(report: Report) -> list[Segment]:
-    """Of the measurement; none where nothing was computed."""
+    """Segments of the measurement; empty if nothing was computed."""
     problem = report.diagnosis.problem
     return [] if problem is None else problem.segments
 
 
 def _counts(segment: Segment, c: int) -> np.ndarray:
-    """Which residuals of a channel count, for a fit or against it; shape (k,)."""
+    """Which residuals of a channel are used, for the fit or held out; shape (k,), bool."""
     return segment.usable[:, c] | segment.held_out[:, c]
 
 
 def _joined(pieces: list[np.ndarray], instants: bool = False) -> np.ndarray:
-    """Segments of a recording one after the other, a gap between them."""
+    """Concatenate the segments of a recording with gaps between them."""
     parts = []
     for i, piece in enumerate(pieces):
         if i:
@@ -180,11 +177,11 @@ def _joined(pieces: list[np.ndarray], instants: bool = False) -> np.ndarray:
 
 
 def _held_out(segment: Segment) -> list[tuple[float, float]]:
-    """Parts of the time [s] that were kept from every fit."""
+    """Parts of the time [s] that are held out from every fit."""
     kept: np.ndarray = np.any(segment.held_out, axis=1)
     fitted: np.ndarray = np.any(segment.usable, axis=1)
     found: list[tuple[float, float]] = []
-    last = -1  # of the last sample that was fitted or kept
+    last = -1  # the last sample that was fitted or held out
     for i in np.flatnonzero(kept | fitted):
         if kept[i]:
             if found and last >= 0 and kept[last]:

@@ -1,4 +1,4 @@
-"""Time series made fit to be drawn: as few points as pixels can show, without losing a peak."""
+"""Time series for drawing: as few points as pixels can show, with all peaks."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 
 
 def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -> np.ndarray:
-    """Indices of the samples that draw a line as well as all do: lowest and highest of each column, in their order.
+    """Return the indices of samples that draw the same line as all: lowest and highest of each column.
 
     Args:
       values: shape (n,); samples that are not finite are gaps, and a column that has one keeps one.
-      columns: of pixels that the line is drawn on, at least one; at most about two samples of each stay.
-      keep: samples that stay whatever they are (the interesting parts) and count among them, shape (n,), bool.
+      columns: number of columns of pixels; at most about two samples of each are kept.
+      keep: samples to keep in any case, shape (n,), bool.
 
     Returns:
-      Increasing indices, shape (k,), first and last sample included; all where there are no more than 2 · columns.
+      Increasing indices, shape (k,), with first and last sample; all if there are at most 2 · columns.
     """
     values = np.asarray(values)
     n = len(values)
@@ -46,7 +46,7 @@ def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -
 
 
 def extremes(values: np.ndarray, columns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lowest and highest value of each column: the outline of a line that fills what it runs through.
+    """Return the lowest and highest value of each column: the outline of a noisy line.
 
     Args:
       values: shape (n,), finite.
@@ -62,15 +62,9 @@ def extremes(values: np.ndarray, columns: int) -> tuple[np.ndarray, np.ndarray, 
 
 
 def share(flags: np.ndarray, samples: int) -> np.ndarray:
-    """Moving share of true flags (or mean of values) over a centred window, shape (n,); shorter at both ends.
-
-    Args:
-      flags: shape (n,).
-      samples: width of the window.
-    """
-    flags = np.asarray(flags, dtype=float)
-    n, width = len(flags), min(max(samples, 1), len(flags))
-    total = np.concatenate([[0.0], np.cumsum(flags)])
+    """Return the mean of flags or values over a centred window of `samples`, fewer at the ends; shape (n,)."""
+    n, width = len(flags), max(min(samples, len(flags)), 1)
+    total = np.concatenate([[0.0], np.cumsum(flags, dtype=float)])
     low = np.clip(np.arange(n) - width // 2, 0, n)
     high = np.clip(np.arange(n) + (width + 1) // 2, 0, n)
     return (total[high] - total[low]) / (high - low)

@@ -1,11 +1,14 @@
-"""Text of a collapsed joint for other simulators: MJCF, URDF, mjlab, Isaac Lab; and a user's file with some numbers changed."""
+"""Files of a collapsed joint for other simulators: MJCF, URDF, mjlab, Isaac Lab; and changes to a user's file."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ..models.errors import InputError
 from ..models.parameters import GRAVITY
@@ -13,11 +16,13 @@ from ..models.parameters import GRAVITY
 if TYPE_CHECKING:
     from ..diagnosis.collapse import Collapse
 
-TARGETS = ("mjcf", "urdf", "mjlab", "isaac")
+_FILES = {"mjcf": "joint.xml.j2", "urdf": "joint.urdf.j2", "mjlab": "mjlab.py.j2", "isaac": "isaac.py.j2"}
+TARGETS = tuple(_FILES)
+TEMPLATES = Path(__file__).parent / "templates"
 
 
 def heading(found: Collapse, joint: str, motion: str) -> list[str]:
-    """What the file says first: what the collapse costs, on which motion, and where it is worst."""
+    """Return the first lines of the file: the error of the simpler structure, the motion, and where the error is largest."""
     lines = [f"{joint} as {found.structure.replace('_', ' ')}, fitted to its behaviour on {motion}."]
     if found.worse_than_nominal:
         lines.insert(
@@ -29,7 +34,7 @@ def heading(found: Collapse, joint: str, motion: str) -> list[str]:
         f"{_g(found.written)} A as written here ({_g(found.written * found.parameters['torque_constant'])} N·m at the output)."
     )
     if found.nominal is not None and not found.worse_than_nominal:
-        lines.append(f"The description before identification, written likewise: {_g(found.nominal)} A.")
+        lines.append(f"The description before identification, in the same structure: {_g(found.nominal)} A.")
     if found.worst is not None:
         w = found.worst
         lines.append(f"Worst: {w.by} from {_g(w.low)} to {_g(w.high)} {w.unit}, {_g(w.rms)} A.")
@@ -37,20 +42,29 @@ def heading(found: Collapse, joint: str, motion: str) -> list[str]:
     lines.append(f"Visited: speed to {_g(speed)} rad/s, load to {_g(load)} N·m. Beyond it nothing was fitted.")
     if found.structure == "two_bodies":
         lines.append(
-            "Of the friction, s0 is the joint's own and s1 small enough for this timestep: they do not show in motion."
+            "Friction: s0 is the joint's, s1 is small enough for this timestep. Neither has an effect in motion."
         )
     return lines
 
 
 def written(found: Collapse, target: str, hinge: str, notes: list[str], link: Mapping[str, float]) -> str:
-    """The whole file of a target.
+    """Return the whole file of a target.
 
     Args:
-      found: the collapse; hinge: name of the joint in the target; notes: of `heading`.
-      link: `inertia` [kg·m²], `mass` [kg], and `lever` [m] and `angle` [rad] of its centre, of what is on the joint: for a
-        model of its own.
+      found: the collapsed joint; hinge: name of the joint in the target; notes: of `heading`.
+      link: `inertia` [kg·m²], `mass` [kg], and `lever` [m] and `angle` [rad] of the centre of mass of the payload.
     """
-    return {"mjcf": _mjcf, "urdf": _urdf, "mjlab": _mjlab, "isaac": _isaac}[target](found, hinge, notes, link)
+    context = {
+        "structure": found.structure, "p": found.parameters, "hinge": hinge, "notes": notes, "mass": link["mass"],
+        "inertia": link["inertia"] - link["mass"] * link["lever"] ** 2, "gravity": GRAVITY,
+        "centre": [link["lever"] * math.sin(link["angle"]), 0.0, -link["lever"] * math.cos(link["angle"])],
+    }  # fmt: skip
+    templates = Environment(
+        loader=FileSystemLoader(TEMPLATES), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip
+    templates.filters |= {"n": _n, "comment": _comment}
+    return templates.get_template(_FILES[target]).render(context)
 
 
 def _g(x: float | None) -> str:
@@ -61,119 +75,13 @@ def _n(x: Any) -> str:
     return " ".join(f"{one:.9g}" for one in (x if isinstance(x, (list, tuple)) else [x]))
 
 
-def _centre(link: Mapping[str, float]) -> str:
-    return _n([link["lever"] * math.sin(link["angle"]), 0.0, -link["lever"] * math.cos(link["angle"])])
-
-
 def _comment(notes: list[str], indent: str = "  ") -> str:
     text = f"\n{indent}     ".join(note.replace("--", "- -") for note in notes)
-    return f"{indent}<!-- {text} -->\n"
-
-
-def _mjcf(found: Collapse, hinge: str, notes: list[str], link: Mapping[str, float]) -> str:
-    p = found.parameters
-    about = _n([link["inertia"] - link["mass"] * link["lever"] ** 2] * 3)
-    inertial = f'<inertial pos="{_centre(link)}" mass="{_n(link["mass"])}" diaginertia="{about}"/>'
-    head = (
-        f'<mujoco model="{hinge}">\n{_comment(notes)}  <compiler angle="radian" autolimits="true"/>\n'
-        f'  <option timestep="0.001" integrator="implicitfast" gravity="0 0 {-GRAVITY}"/>\n  <worldbody>\n'
-    )
-    if found.structure != "two_bodies":
-        attributes = " ".join(f'{name}="{_n(p[name])}"' for name in _HINGE if p[name])
-        limit = _n(p["torque_limit"])
-        return head + (
-            f'    <body name="link">\n      <joint name="{hinge}" axis="0 -1 0" {attributes}/>\n      {inertial}\n    </body>\n'
-            f"  </worldbody>\n  <actuator>\n    <!-- ctrl: torque at the output, N Kt times the current [N·m] -->\n"
-            f'    <motor name="{hinge}" joint="{hinge}" ctrlrange="-{limit} {limit}" forcerange="-{limit} {limit}"/>\n'
-            "  </actuator>\n</mujoco>\n"
-        )
-    inertia = _n(p["inertia"])
-    cogging = f' cogging="{_n(p["cogging"])}"' if p["cogging"][0] else ""
-    return head + (
-        f'    <body name="{hinge}_rotor">\n'
-        f'      <joint name="{hinge}_rotor" axis="0 -1 0" damping="{_n(p["damping"])}"/>\n'
-        f'      <inertial pos="0 0 0" mass="1e-6" diaginertia="{inertia} {inertia} {inertia}"/>\n    </body>\n'
-        f'    <body name="link">\n      <joint name="{hinge}" axis="0 -1 0" damping="{_n(p["link_damping"])}"/>\n'
-        f"      {inertial}\n    </body>\n  </worldbody>\n  <tendon>\n"
-        f'    <fixed name="{hinge}_torsion" stiffness="{_n(p["stiffness"])}" damping="{_n(p["spring_damping"])}" '
-        'springlength="0">\n'
-        f'      <joint joint="{hinge}_rotor" coef="{_n(1 / p["N"])}"/>\n      <joint joint="{hinge}" coef="-1"/>\n'
-        "    </fixed>\n  </tendon>\n  <actuator>\n"
-        "    <!-- ctrl: torque that the current controller is asked for, Kt times the current [N·m, motor side] -->\n"
-        f'    <dcmotor name="{hinge}" joint="{hinge}_rotor" input="ff" motorconst="{_n([p["Kt"]] * 2)}" '
-        f'resistance="{_n(p["R"])}" inductance="{_n(p["L"])} 0" saturation="0 {_n(p["current_limit"])} 0" '
-        f'controller="0 0 0 0 0 {_n(p["supply_voltage"])}"{cogging}/>\n'
-        f'    <dcmotor name="{hinge}_friction" joint="{hinge}_rotor" input="none" motorconst="0 0" resistance="1" '
-        f'lugre="{_n([p[name] for name in ("s0", "s1", "Fc", "Fs", "vs")])}"/>\n  </actuator>\n</mujoco>\n'
-    )
-
-
-_HINGE = ("armature", "damping", "frictionloss", "stiffness", "springref")
-
-
-def _urdf(found: Collapse, hinge: str, notes: list[str], link: Mapping[str, float]) -> str:
-    p = found.parameters
-    own = _n(link["inertia"] - link["mass"] * link["lever"] ** 2)
-    return (
-        f'<robot name="{hinge}">\n{_comment(notes)}  <link name="base"/>\n  <link name="link">\n    <inertial>\n'
-        f'      <origin xyz="{_centre(link)}"/>\n      <mass value="{_n(link["mass"])}"/>\n'
-        f'      <inertia ixx="{own}" iyy="{own}" izz="{own}" ixy="0" ixz="0" iyz="0"/>\n    </inertial>\n  </link>\n'
-        f'  <joint name="{hinge}" type="revolute">\n    <parent link="base"/>\n    <child link="link"/>\n'
-        '    <axis xyz="0 -1 0"/>\n'
-        f'    <limit lower="-3.14159" upper="3.14159" effort="{_n(p["torque_limit"])}" velocity="{_n(p["speed_limit"])}"/>\n'
-        f'    <dynamics damping="{_n(p["damping"])}" friction="{_n(p["frictionloss"])}"/>\n  </joint>\n</robot>\n'
-    )
-
-
-def _mjlab(found: Collapse, hinge: str, notes: list[str], link: Mapping[str, float]) -> str:
-    p = found.parameters
-    return (
-        "".join(f"# {note}\n" for note in notes)
-        + f"""from mjlab.actuator import BuiltinMotorActuatorCfg
-
-ACTUATOR = BuiltinMotorActuatorCfg(
-    target_names_expr=("{hinge}",),
-    effort_limit={p["torque_limit"]:.9g},  # N·m
-    armature={p["armature"]:.9g},  # kg·m²
-    frictionloss={p["frictionloss"]:.9g},  # N·m
-)
-
-
-def with_passive_forces(spec):
-    \"\"\"Set what the actuator's configuration does not hold; call it in the entity's `spec_fn`.\"\"\"
-    joint = spec.joint("{hinge}")
-    joint.damping = [{p["damping"]:.9g}, 0.0, 0.0]  # N·m·s/rad
-    joint.stiffness = [{p["stiffness"]:.9g}, 0.0, 0.0]  # N·m/rad
-    joint.springref = {p["springref"]:.9g}  # rad
-    return spec
-"""
-    )
-
-
-def _isaac(found: Collapse, hinge: str, notes: list[str], link: Mapping[str, float]) -> str:
-    p = found.parameters
-    return (
-        "".join(f"# {note}\n" for note in notes)
-        + f"""from isaaclab.actuators import ImplicitActuatorCfg
-
-# Efforts are commanded: gains of a position drive are yours to set. Friction is an effort (Isaac Sim 5).
-ACTUATOR = ImplicitActuatorCfg(
-    joint_names_expr=["{hinge}"],
-    effort_limit_sim={p["torque_limit"]:.9g},  # N·m
-    velocity_limit_sim={p["speed_limit"]:.9g},  # rad/s
-    stiffness=0.0,
-    damping=0.0,
-    armature={p["armature"]:.9g},  # kg·m²
-    friction={p["frictionloss"]:.9g},  # N·m
-    dynamic_friction={p["frictionloss"]:.9g},  # N·m
-    viscous_friction={p["damping"]:.9g},  # N·m·s/rad
-)
-"""
-    )
+    return f"{indent}<!-- {text} -->"
 
 
 def put_into(text: str, found: Collapse, hinge: str, notes: list[str], file: str) -> str:
-    """A user's MJCF or URDF with the numbers of one joint changed, everything else to the letter.
+    """Return a user's MJCF or URDF with the numbers of one joint changed, and everything else unchanged.
 
     Args:
       text: of the file; hinge: name of the joint; file: for messages.
@@ -219,16 +127,16 @@ def put_into(text: str, found: Collapse, hinge: str, notes: list[str], file: str
     whole = text[:begin] + changed + text[end:]
     declaration = re.match(r"\s*<\?xml.*?\?>\s*\n", whole)
     at = declaration.end() if declaration else 0
-    return whole[:at] + _comment(notes, "") + whole[at:]
+    return whole[:at] + _comment(notes, "") + "\n" + whole[at:]
 
 
 def _blind(text: str) -> str:
-    """Text with comments blotted out, place for place."""
+    """Return a text with comments replaced by spaces."""
     return re.sub(r"<!--.*?-->", lambda m: " " * len(m.group()), text, flags=re.DOTALL)
 
 
 def _joint_tag(text: str, hinge: str, file: str) -> re.Match[str]:
-    """The opening tag of the joint of a body (MJCF) or robot (URDF) by its name."""
+    """Return the opening tag of a joint by its name."""
     named = re.compile(r"""\bname\s*=\s*(["'])(.*?)\1""")
     tags = {m: named.search(m.group()) for m in re.finditer(r"<joint\b[^>]*>", _blind(text))}
     names = {m: name.group(2) for m, name in tags.items() if name is not None}
@@ -240,7 +148,7 @@ def _joint_tag(text: str, hinge: str, file: str) -> re.Match[str]:
 
 
 def _with_attributes(tag: str, values: Mapping[str, str]) -> str:
-    """An opening tag with attributes set, the others and all white space kept."""
+    """Return an opening tag with attributes set; other attributes and white space are unchanged."""
     for name, value in values.items():
         there = re.search(rf"""(\s{name}\s*=\s*)(["'])(.*?)\2""", tag)
         if there is not None:

@@ -1,4 +1,4 @@
-"""What all pictures share: one colour per signal.
+"""One colour per signal, the same in all views.
 
 The colours (after Okabe and Ito, safe for colour-blind eyes) are legible on white figures and in Rerun's dark viewer.
 """
@@ -14,9 +14,9 @@ SENSOR = "#9AA3AD"
 MODEL = "#C8B68E"
 """Raw compliance model, before any filter."""
 EXTERNAL = "#CC6FA8"
-"""Torque on the link from outside."""
+"""External torque on the link."""
 COMMAND = "#7D8690"
-"""What the drive is asked for."""
+"""Command of the drive."""
 FILTERS = {"EKF": "#3D8FE0", "AREKF": "#E8A100", "RAREKF": "#E0533D", "REKF": "#9A6FCB"}
 """Filters by name; others take `SPARE` in their order."""
 SPARE = ("#17BECF", "#8C9A2B", "#E377C2", "#8C6D4F")
@@ -26,17 +26,17 @@ PARTS = {
 """Torsion and its parts."""
 
 MAIN = "RAREKF"
-"""The paper's filter, which pictures of one filter show."""
+"""The paper's filter, for views of one filter."""
 
 
 def filter_colors(names: Iterable[str]) -> dict[str, str]:
-    """Colour of each filter; the same name has the same colour everywhere."""
+    """Return the colour of each filter; a name has the same colour in all views."""
     names = list(names)
     spare = [name for name in names if name not in FILTERS]
     return {name: FILTERS.get(name) or SPARE[spare.index(name) % len(SPARE)] for name in names}
 
 
 def main_filter(names: Iterable[str]) -> str:
-    """The filter that a picture of only one shows: the paper's, or else the last."""
+    """Return the filter for views of one filter: the paper's, or else the last."""
     names = list(names)
     return MAIN if MAIN in names else names[-1]

@@ -27,14 +27,14 @@ _COLUMNS = 4
 _HEIGHT, _GAP = 2.2, 0.5  # in: of a row of panels, of it between them
 _LEFT, _BETWEEN = 0.85, 0.14  # in
 _LEGEND = 8  # filters in a line of the legend
-_LOGARITHMIC = 15.0  # largest over smallest mean from which on an axis is logarithmic
-_LINEAR = 1e-3  # of the largest difference: what is less is next to nothing, and the axis linear
-_CHARACTERS = 80  # of ticks that stand side by side in a row of panels
-_SPREAD = 0.32  # of the distance between two points, over which the filters stand side by side
+_LOGARITHMIC = 15.0  # ratio of largest and smallest mean above which an axis is logarithmic
+_LINEAR = 1e-3  # of the largest difference: the axis is linear below
+_CHARACTERS = 80  # of horizontal ticks in a row of panels
+_SPREAD = 0.32  # of the distance between two points: offset of filters
 
 
 def save_sweep_figures(aggregates: Sequence[Aggregate], study: Study, folder: Path) -> list[Path]:
-    """Write all figures of a study as PNG; their paths."""
+    """Write all figures of a study as PNG; return their paths."""
     paths = []
     for scenario in dict.fromkeys(s.scenario for s in aggregates):
         here = [s for s in aggregates if s.scenario == scenario]
@@ -49,12 +49,12 @@ def save_sweep_figures(aggregates: Sequence[Aggregate], study: Study, folder: Pa
 def sweep_figure(
     aggregates: Sequence[Aggregate], study: Study, metric: str, differences: bool = False
 ) -> Figure | None:
-    """One metric of one scenario; None where it has no value anywhere.
+    """Draw one metric of one scenario; None if it has no values.
 
     Args:
       aggregates: of one scenario.
       study: whose axes give the panels.
-      metric: which.
+      metric: its name.
       differences: to the reference, paired, instead of means.
     """
     column = metric_column(metric)
@@ -147,10 +147,10 @@ def sweep_figure(
 
 
 def layout(aggregates: Sequence[Aggregate], study: Study) -> tuple[str, list[dict[str, Value]]]:
-    """Which axis runs across, and the values of the others, a panel each. Sizes run across, causes have panels, and of axes
-    that vary filters the first runs across: its filters are lines.
+    """Return the horizontal axis, and the values of the others, a panel each.
 
-    The point without any cause stands at the beginning of every cause's line.
+    Sizes of causes are horizontal, causes have panels. The first axis of filters is horizontal. The point without a cause is the
+    first of every cause's line.
     """
     axes = list(aggregates[0].columns)
     if not axes:
@@ -167,7 +167,7 @@ def layout(aggregates: Sequence[Aggregate], study: Study) -> tuple[str, list[dic
 def place_of(
     aggregates: Sequence[Aggregate], name: str, across: str, value: Value | None, panel: dict[str, Value]
 ) -> Aggregate | None:
-    """A filter's summary at a place of a panel; one that an axis does not vary is the same everywhere on it."""
+    """Return a filter's summary at a point of a panel; a filter that an axis does not vary is the same at all its points."""
     for s in aggregates:
         if s.filter != name or s.columns.get(across) not in (value, None):
             continue

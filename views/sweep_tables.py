@@ -1,4 +1,4 @@
-"""A study's aggregates as tables: every mean with its confidence interval, and what is better or worse than the reference."""
+"""A study's aggregates as tables: means with confidence intervals, and marks of differences from the reference."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
     from ..scenarios.studies.study import Study
 
 BETTER, WORSE = "▾", "▴"
-"""Marks of a mean that is lower, or higher, than the reference's: the interval of the paired difference leaves out zero."""
-_UNLIMITED = 10_000  # characters: how wide a table would be with all the room that it wants
+"""Marks of a mean below or above the reference's: the interval of the paired difference excludes zero."""
+_UNLIMITED = 10_000  # characters: width without limit
 _BEYOND_RUNS = (
     Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state"),
     Column(
         "untrusted", "not to be trusted", "%", 100, 0, "share of the runs in which the estimate is not to be trusted"
     ),
 )
-"""Metrics of studies that runs' tables do not have."""
+"""Metrics of studies that are not in tables of runs."""
 
 
 def metric_column(metric: str) -> Column:
-    """Heading, unit and scale of a metric."""
+    """Return heading, unit and scale of a metric."""
     return next(c for c in (*_BEYOND_RUNS, *COLUMNS) if c.key == metric)
 
 
 def with_interval(value: Interval, scale: float = 1.0) -> str:
-    """`0.1452 ± 0.0003`: two digits of the interval where the first is 1, one else; `–` where there is no mean.
+    """Return `0.1452 ± 0.0003`: one digit of the interval, or two if the first is 1; `–` without a mean.
 
-    An interval below the fourth digit of the mean is left out. A mean that would read 0 and is not gets one more.
+    An interval below the fourth digit of the mean is omitted. A mean that would be rounded to 0 gets one more digit.
     """
     if not math.isfinite(value.mean):
         return "–"
@@ -54,7 +54,7 @@ def with_interval(value: Interval, scale: float = 1.0) -> str:
 
 
 def sweep_rows(aggregates: Sequence[Aggregate]) -> Iterator[tuple[str, dict, dict[str, Aggregate]]]:
-    """Rows of a table: scenario, point of the axes, filter → summary. A filter that an axis does not vary is in all its rows."""
+    """Yield rows: scenario, point of the axes, filter → summary. A filter that an axis does not vary is in all its rows."""
     whole = [s for s in aggregates if None not in s.columns.values()] or list(aggregates)
     seen = set()
     for s in whole:
@@ -71,7 +71,7 @@ def sweep_rows(aggregates: Sequence[Aggregate]) -> Iterator[tuple[str, dict, dic
 
 
 class FirstThatFits:
-    """The first of several tables that the terminal is wide enough for, or else the last."""
+    """The first of several tables that fits into the terminal, or else the last."""
 
     def __init__(self, *tables: Table):
         self.tables = tables
@@ -85,7 +85,7 @@ class FirstThatFits:
 
 
 def sweep_table(aggregates: Sequence[Aggregate], study: Study, metric: str) -> FirstThatFits:
-    """One metric for the terminal: a row per scenario and point, a column per filter; where that is too wide a row per filter."""
+    """Return one metric for the terminal: a column per filter, or a row per filter if that is too wide."""
     return FirstThatFits(_wide(aggregates, study, metric), _long(aggregates, study, metric))
 
 
@@ -132,7 +132,7 @@ def _long(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
 
 
 def sweep_markdown(aggregates: Sequence[Aggregate], study: Study) -> str:
-    """All metrics in Markdown, a table each."""
+    """Return all metrics as Markdown, a table each."""
     axes = list(aggregates[0].columns)
     runs = sorted({s.runs for s in aggregates})
     lines = [
@@ -143,14 +143,14 @@ def sweep_markdown(aggregates: Sequence[Aggregate], study: Study) -> str:
         f"Means over {'–'.join(str(n) for n in dict.fromkeys((runs[0], runs[-1])))} seeds with 95 % intervals (Student's t), "
         "no ± where it is below the digits shown. "
         f"{BETTER} lower, {WORSE} higher than {study.compared_to}: the 95 % interval of the difference, paired over seeds, "
-        "leaves out zero. `summary.csv` has the differences.",
+        "excludes zero. `summary.csv` has the differences.",
         "",
     ]
     failed = [s for s in aggregates if s.failed]
     for s in failed:
         at = ", ".join(f"{k} {value_text(v)}" for k, v in s.columns.items() if v is not None)
         lines += [
-            f"{s.scenario}, {at}: {s.filter} has no estimate in {s.failed} of {s.runs} runs, which are left out.",
+            f"{s.scenario}, {at}: {s.filter} has no estimate in {s.failed} of {s.runs} runs, which are not counted.",
             "",
         ]
     for metric in study.metrics:
@@ -165,7 +165,7 @@ def sweep_markdown(aggregates: Sequence[Aggregate], study: Study) -> str:
 
 
 def cell(summary: Aggregate | None, metric: str, column: Column) -> str:
-    """Mean, interval and mark of a metric as text."""
+    """Return mean, interval and mark of a metric as text."""
     if summary is None:
         return "–"
     text = with_interval(summary.values[metric], column.scale)
@@ -174,7 +174,7 @@ def cell(summary: Aggregate | None, metric: str, column: Column) -> str:
 
 
 def sign_of(summary: Aggregate | None, metric: str) -> int:
-    """−1 where the difference to the reference is surely below zero, 1 where above, else 0."""
+    """Return −1 or 1 if the difference from the reference is surely below or above zero, else 0."""
     return summary.differences[metric].sign if summary is not None and metric in summary.differences else 0
 
 
@@ -184,5 +184,5 @@ def _style(summary: Aggregate | None, metric: str) -> str:
 
 
 def value_text(value: float | str | None) -> str:
-    """A value of an axis as text."""
+    """Return a value of an axis as text."""
     return "–" if value is None else value if isinstance(value, str) else f"{value:g}"

@@ -1,4 +1,4 @@
-"""Metrics as tables: in the terminal (rich), readable at 80 columns, and in Markdown."""
+"""Metrics as tables: in a terminal of 80 columns, and in Markdown."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from .style import filter_colors
 
 _SHORT, _NAME, _NUMBER = 7, 15, 6  # characters of a line of a heading, of a name, and of a number
 UNTRUSTED = " †"
-"""Behind the name of an estimator whose estimate is not to be trusted (`estimator.trust`)."""
-HONEST = (0.7, 1.4)
-"""Mean NIS between which an estimator's own variance is about right."""
+"""Mark of an estimator that is not to be trusted (`estimator.trust`)."""
+RIGHT_NIS = (0.7, 1.4)
+"""Range of the mean NIS of an estimator with about the right variance."""
 RAW_MODEL = "raw model"
-"""How the compliance model without any filter is called in a table."""
+"""Name of the compliance model without a filter in tables."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the comparison: key in the metrics, heading, unit, what to multiply by, decimals, explanation."""
+    """A column of the comparison: key in the metrics, heading, unit, factor, decimals, explanation."""
 
     key: str
     heading: str
@@ -40,7 +40,7 @@ class Column:
         return f"{self.heading} [{self.unit}]" if self.unit else self.heading
 
     def text(self, metrics: Mapping) -> str:
-        """The value as text of at most six characters; `–` where there is none."""
+        """Return the value as text of at most six characters; `–` without a value."""
         value = metrics.get(self.key)
         if value is None or not math.isfinite(value):
             return "–"
@@ -54,19 +54,21 @@ COLUMNS = (
     Column("max", "max error", "N·m", 1, 3, "largest, likewise"),
     Column("noise_ratio", "noise ratio", "", 1, 2, "noise in steady state relative to the raw model's"),
     Column("delay_ms", "delay", "ms", 1, 1, "shift of the truth that explains the estimate best around the pushes"),
-    Column("response_ms", "response", "ms", 1, 1, "how long after the truth the estimate has made 90 % of a push"),
-    Column("missed", "missed", "%", 100, 0, "share of the pushes that are never followed; response leaves them out"),
+    Column("response_ms", "response", "ms", 1, 1, "time of the estimate after the truth at 90 % of a push"),
+    Column(
+        "missed", "missed", "%", 100, 0, "share of the pushes that the estimate does not follow; they have no response"
+    ),
     Column("robust_share", "robust", "%", 100, 1, "share of the time in robust mode"),
-    Column("mean_nis", "mean NIS", "", 1, 2, "normalised innovation squared; 1 where P_Y is right"),
+    Column("mean_nis", "mean NIS", "", 1, 2, "normalised innovation squared; 1 if P_Y is right"),
     Column("rms_to_sensor", "RMS to sensor", "N·m", 1, 3, "against the noisy torque sensor"),
 )
 """Columns of `run.metrics["filters"][name]` and `run.metrics["model"]`."""
 IN_TERMINAL = tuple(column for column in COLUMNS if column.key != "rms_to_sensor")
-"""Of these the terminal has room for at 80 columns."""
+"""Columns for a terminal of 80 columns."""
 
 
 def comparison_rows(metrics: Mapping[str, Mapping]) -> list[tuple[str, ...]]:
-    """Cells of the comparison as text: scenario, filter, then `COLUMNS`.
+    """Return the cells of the comparison as text: scenario, filter, then `COLUMNS`.
 
     Args:
       metrics: a run's metrics by scenario name: `{"filters": {name: {…}}, "model": {…}}`.
@@ -80,19 +82,19 @@ def comparison_rows(metrics: Mapping[str, Mapping]) -> list[tuple[str, ...]]:
 
 
 def marked(name: str, run: Mapping) -> str:
-    """The name of a filter as a run's tables show it: with `UNTRUSTED` where its estimate is not to be trusted."""
+    """Return the name of a filter, with `UNTRUSTED` if it is not to be trusted."""
     return name + UNTRUSTED if name in run.get("untrusted", {}) else name
 
 
 def misjudged(run: Mapping) -> dict[str, float]:
-    """Mean NIS of the filters of a run whose own variance is not right (`HONEST`), those that are farthest off first."""
+    """Return the mean NIS of filters with a wrong variance (`RIGHT_NIS`), the worst first."""
     nis = {name: measures.get("mean_nis") for name, measures in run["filters"].items()}
-    off = {name: value for name, value in nis.items() if value and not HONEST[0] <= value <= HONEST[1]}
+    off = {name: value for name, value in nis.items() if value and not RIGHT_NIS[0] <= value <= RIGHT_NIS[1]}
     return dict(sorted(off.items(), key=lambda one: -abs(math.log(one[1]))))
 
 
 def doubts(metrics: Mapping[str, Mapping]) -> list[str]:
-    """Why estimates are not to be trusted, a line each, behind `UNTRUSTED`; a run's metrics by scenario name."""
+    """Return why estimates are not to be trusted, a line each, after `UNTRUSTED`."""
     return [
         f"{UNTRUSTED.strip()} {scenario}: {name} is not to be trusted: {why}"
         for scenario, run in metrics.items()
@@ -101,7 +103,7 @@ def doubts(metrics: Mapping[str, Mapping]) -> list[str]:
 
 
 def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque estimates") -> Table:
-    """The comparison for the terminal: a row per filter below its scenario, the best of each scenario in bold.
+    """Return the comparison for the terminal: a row per filter below its scenario, the best of each scenario in bold.
 
     Args:
       metrics: a run's metrics by scenario name.
@@ -109,7 +111,7 @@ def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque 
     """
     table = narrow_table(
         title,
-        "Errors against the plant's noise-free joint torque; response: after the truth, 90 % of a push; – not defined here"
+        "Errors against the plant's noise-free joint torque; response: after the truth, 90 % of a push; – not defined"
         + (f";{UNTRUSTED} not to be trusted" if doubts(metrics) else ""),
     )
     table.add_column("filter", overflow="fold")
@@ -134,14 +136,14 @@ def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque 
 
 
 def _folded(name: str, indent: str = " ") -> str:
-    """A name in lines that 80 columns have room for, broken behind underscores where it has any."""
+    """Return a name in short lines, broken after underscores."""
     width = _NAME - 2 * len(indent)
     lines = textwrap.wrap(name.replace("_", "_ "), width) if len(name) > width else [name]
     return "\n".join(indent + line.replace("_ ", "_") for line in lines)
 
 
 def narrow_table(title: str, caption: str) -> Table:
-    """An empty table that spends two characters between its columns and none at its edges."""
+    """Return an empty table with narrow columns and no edges."""
     return Table(
         title=Text(title),
         caption=Text(caption),
@@ -153,13 +155,13 @@ def narrow_table(title: str, caption: str) -> Table:
 
 
 def heading(words: str, unit: str = "", justify: Literal["left", "right"] = "right") -> Text:
-    """A heading in short lines, the unit on one of its own; as `Text`, since rich takes `[ms]` for markup."""
+    """Return a heading in short lines, the last with the unit; as `Text`, since `[ms]` would be markup."""
     lines = textwrap.wrap(words, _SHORT, break_long_words=False)
     return Text("\n".join([*lines, f"[{unit}]"] if unit else lines), justify=justify)
 
 
 def comparison_markdown(metrics: Mapping[str, Mapping], keys: Sequence[str] = ()) -> str:
-    """The comparison as a Markdown table, with the meaning of the columns below it.
+    """Return the comparison as a Markdown table, with the meaning of the columns below it.
 
     Args:
       metrics: a run's metrics by scenario name.
@@ -196,11 +198,11 @@ def _missed(cell: str) -> float:
 
 
 def _smallest(rows: list[tuple[str, ...]]) -> set[tuple[str, int]]:
-    """(filter, column) of the smallest value of each column in which smaller is better, if rows differ."""
+    """Return (filter, column) of the best values, if rows differ."""
     best = set()
     for k, column in enumerate(COLUMNS):
         values = {row[1]: float(row[2 + k]) for row in rows if row[2 + k] != "–"}
-        if column.key == "response_ms":  # over the pushes that are followed: no merit where others follow more of them
+        if column.key == "response_ms":  # comparable only between filters that follow most pushes
             fewest = min((row[2 + _MISSED] for row in rows), key=_missed, default="")
             values = {row[1]: values[row[1]] for row in rows if row[1] in values and row[2 + _MISSED] == fewest}
         if column.key in _COMPARED and len(set(values.values())) > 1:

@@ -1,1 +1,1 @@
-"""Scenarios of joints in series: each with its own motion, drive, sensors and filters, the load on it also from the others."""
+"""Scenarios of joints in series, each with its own motion, drive, sensors and filters, and loaded by the others."""

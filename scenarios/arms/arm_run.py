@@ -1,4 +1,4 @@
-"""Running a scenario of an arm: the closed loops of its joints in one plant, then every joint's filters over its own signals."""
+"""Simulation of an arm: the closed loops of its joints in one plant, then every joint's filters over its signals."""
 
 from __future__ import annotations
 
@@ -35,18 +35,17 @@ def run_arm(
 ) -> dict[str, Run]:
     """Run a scenario of an arm.
 
-    Estimators know of a joint what hangs on it while the others stand in the middle of their commanded ways; what the others'
-    motion adds is external torque to them. The recordings say it, by the arm's links and the angles that the others' encoders
-    read.
+    Estimators know the payload of a joint with the others at the median of their commands. The effect of the others' motion is
+    external torque for them. The recordings include it: the arm's links and the other encoders' angles.
 
     Args:
-      scenario: what to run.
-      folder: of the scenario's file, where joints that it names by a relative path lie.
+      scenario: to run.
+      folder: of the scenario's file, to which joints' paths are relative.
       threads: filters at a time; the result does not depend on it.
-      records: parameters of other plants than the joints' own, with effects hidden in them, by the joint's name, shape (1,) each.
+      records: parameters of other plants, such as with hidden effects, by the joint's name, shape (1,) each.
 
     Returns:
-      A run of every joint, by its name in the arm, from the base to the tip.
+      A run of every joint by its name, from the base to the tip.
 
     Raises:
       InputError, FilterDiverged: as `run.run_scenario`.
@@ -92,7 +91,7 @@ def run_arm(
 
 
 def _links(mounting: Mounting) -> np.ndarray:
-    """A record, shape (1,), of what a mounting says of its link alone."""
+    """Return a record, shape (1,), with the link of a mounting only."""
     record = neutral()
     p = record[0]
     p["Jl"], p["Mg"], p["gravity_angle"] = mounting.inertia, mounting.gravity_moment, mounting.gravity_angle
@@ -100,9 +99,11 @@ def _links(mounting: Mounting) -> np.ndarray:
 
 
 def _alone(scenario: ArmScenario, joint: Scenario) -> Scenario:
-    """The scenario of a joint by itself, under a name of its own."""
+    """Return the scenario of a single joint."""
     data = {name: getattr(joint, name) for name in Scenario.model_fields}
-    text = f"{joint.name} of the arm {scenario.name}; alone, the others stand in the middle of their ways. {joint.description}"
+    text = (
+        f"{joint.name} of the arm {scenario.name}, with the others at the median of their commands. {joint.description}"
+    )
     data |= {"name": f"{scenario.name}_{joint.name}", "description": text.strip()}
     return Scenario.model_construct(**data)
 
@@ -110,7 +111,7 @@ def _alone(scenario: ArmScenario, joint: Scenario) -> Scenario:
 def save_arm(
     scenario: ArmScenario, runs: dict[str, Run], out: Path, views: Sequence[View] = (), within: Path | None = None
 ) -> list[Path]:
-    """Write the runs of an arm's joints: a run folder each, and `arm.yaml`, with which to run it again.
+    """Write the runs of an arm's joints: a run folder each, and `arm.yaml`, to run it again.
 
     Args, Raises: as `run_folder.save_run`.
     """

@@ -1,4 +1,4 @@
-"""Scenarios of an arm: YAML files in which a person states the motion of several joints in series."""
+"""Scenarios of an arm: YAML files that describe the motion of several joints in series."""
 
 from __future__ import annotations
 
@@ -21,29 +21,33 @@ from ...sim.plant import TIMESTEP
 from ..scenario import Scenario, parse_changed, put_all, read_scenario, shipped_arms
 
 _SHARED = ("duration", "timestep")
-_BESIDE = (*_SHARED, "seed", "format")
-"""Keys that stand beside `arm`, once for all joints."""
+_COMMON = (*_SHARED, "seed", "format")
+"""Keys next to `arm`, for all joints."""
 
 
 class JointInArm(Scenario):
-    """A joint of an arm: what a scenario says of one, but for what all joints share. A disturbance is a torque on its link."""
+    """A joint of an arm: a scenario without the common keys. A disturbance is a torque on its link."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*$")]
-    """In the arm; of its folder and, in the others' recordings, of the column of its angle."""
-    length: Annotated[float, Field(gt=0, le=10, description="from its axis to the next one's, m")] = 0.4
+    """Name in the arm, of its folder, and of the column of its angle in the others' recordings."""
+    length: Annotated[float, Field(gt=0, le=10, description="from its axis to the next axis, m")] = 0.4
     turn: Annotated[
         float,
-        Field(ge=-math.pi, le=math.pi, description="of its axis about the link before it, against that one's, rad"),
+        Field(
+            ge=-math.pi,
+            le=math.pi,
+            description="turn of its axis about the link before it, relative to the axis before, rad",
+        ),
     ] = 0.0
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Without what stands beside `arm`."""
+        """Return the schema without the common keys."""
         schema = handler(core_schema)
         own = handler.resolve_ref_schema(schema)
-        for key in _BESIDE:
+        for key in _COMMON:
             own["properties"].pop(key, None)
-        own["required"] = [key for key in own["required"] if key not in _BESIDE]
+        own["required"] = [key for key in own["required"] if key not in _COMMON]
         return schema
 
     @model_validator(mode="after")
@@ -53,40 +57,40 @@ class JointInArm(Scenario):
         for i, one in enumerate(self.disturbances):
             if one.lever != 0.0:
                 raise ValueError(
-                    f"disturbances.{i}.lever: expected 0, a torque alone (a force would load the joints before it by their "
-                    f"own levers), got {one.lever:g} m"
+                    f"disturbances.{i}.lever: expected 0, a pure torque (a force would also load the joints before it), "
+                    f"got {one.lever:g} m"
                 )
         return self
 
 
 class ArmScenario(Strict):
-    """An experiment with joints in series, from the base to the tip; with all angles at zero it hangs straight down."""
+    """An experiment with joints in series, from the base to the tip; with all angles zero it points straight down."""
 
     format: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    """Of the folder that holds the joints' runs."""
+    """Name of the folder with the joints' runs."""
     description: str = ""
-    """What it is for."""
+    """Purpose."""
     duration: Annotated[float, Field(gt=0, le=3600, description="s")]
     timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    """Of every random stream; each joint has streams of its own."""
+    """Of every random stream; joints have different streams."""
     arm: Annotated[list[JointInArm], Field(min_length=1, max_length=12)]
-    """Its joints, from the base to the tip."""
+    """Joints, from the base to the tip."""
 
     @model_validator(mode="before")
     @classmethod
     def _shared(cls, given: Any) -> Any:
-        """Hand every joint what is the same for all, and its seed."""
+        """Give every joint the common keys and its seed."""
         if not isinstance(given, dict) or not isinstance(given.get("arm"), list):
             return given
         joints = []
         for i, one in enumerate(given["arm"]):
             if not isinstance(one, dict):
                 return given
-            for key in _BESIDE:
+            for key in _COMMON:
                 if key in one:
-                    raise ValueError(f"arm.{i}.{key}: expected it beside `arm`, for all joints, got it in one of them")
+                    raise ValueError(f"arm.{i}.{key}: expected it next to `arm`, for all joints, got it in one of them")
             shared = {key: given[key] for key in _SHARED if key in given}
             seed = given.get("seed", 1)
             if isinstance(seed, int) and seed >= 0:
@@ -102,17 +106,17 @@ class ArmScenario(Strict):
         names = [joint.name for joint in self.arm]
         for i, name in enumerate(names):
             if name in names[:i]:
-                raise ValueError(f"arm.{i}.name: expected a name of its own, got {name!r} again")
+                raise ValueError(f"arm.{i}.name: expected another name, got {name!r} again")
         for i, joint in enumerate(self.arm):
             if joint.disturbances and any(before.turn for before in self.arm[: i + 1]):
                 raise ValueError(
-                    f"arm.{i}.disturbances: expected none on a joint whose axis is turned, or stands on one that is (its torque "
-                    "on the joints before it would depend on where they are)"
+                    f"arm.{i}.disturbances: expected none on a joint whose axis, or one before it, is turned (its torque on the "
+                    "joints before it would depend on their angles)"
                 )
         return self
 
     def with_joints(self, joints: Mapping[str, Joint]) -> ArmScenario:
-        """The same with descriptions at hand, where its file has a name or a path: `arm.0.joint`, `arm.1.known_joint`."""
+        """Return the scenario with `Joint` objects in place of names or paths: `arm.0.joint`, `arm.1.known_joint`."""
         arm = list(self.arm)
         for key, one in joints.items():
             _, place, name = key.split(".")
@@ -120,32 +124,32 @@ class ArmScenario(Strict):
         return self.model_copy(update={"arm": arm})
 
     def written(self) -> dict[str, Any]:
-        """As plain data, as a person would write it: what all joints share stands once."""
+        """Return plain data, as in a file, with the common keys once."""
         data = self.model_dump(mode="json", exclude_none=True)
         for joint in data["arm"]:
-            for key in _BESIDE:
+            for key in _COMMON:
                 del joint[key]
         return data
 
 
 def _seed(seed: int, name: str) -> int:
-    """The seed of a joint: of the arm's and its name."""
+    """Return the seed of a joint, from the arm's seed and its name."""
     return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1)[0])
 
 
 def load_any(
     source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[Scenario | ArmScenario, Path]:
-    """Load a scenario of a joint or of an arm: a file with `arm:` is one of an arm.
+    """Load a scenario of a joint or, with the key `arm:`, of an arm.
 
     Args:
-      source, changes, seed: as of `scenario.load_scenario`; a joint's key in an arm is `arm.0.joint`, counted from the base.
+      source, changes, seed: as of `scenario.load_scenario`; keys of an arm's joints are `arm.0.joint`, counted from the base.
 
     Returns:
       The scenario and its file.
 
     Raises:
-      InputError: no such scenario, or one that is wrong; one line.
+      InputError: an unknown or wrong scenario.
     """
     data, path = read_scenario(source, changes, seed, shipped_arms())
     if "arm" in data:
@@ -159,20 +163,20 @@ def load_arm(
     """Load a scenario of an arm, with other values of dotted keys.
 
     Raises:
-      InputError: no such scenario, one that is wrong, or that of a joint alone; one line.
+      InputError: an unknown or wrong scenario, or that of a single joint.
     """
     data, path = read_scenario(source, None, seed, shipped_arms())
     put_all(data, changes or {}, str(path))
     if "arm" not in data:
-        raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a joint alone")
+        raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a single joint")
     return parse(data, ArmScenario, str(path) if changes else path), path.parent
 
 
 def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | None = None) -> ArmScenario:
-    """A scenario of an arm with other values of dotted keys, and another seed where one is given.
+    """Return a scenario of an arm with other values of dotted keys, and another seed if given.
 
     Raises:
-      InputError: a key that leads nowhere, or a value that is wrong; one line.
+      InputError: an unknown key or a wrong value.
     """
     where = f"scenario {scenario.name}"
     data = scenario.written() | ({} if seed is None else {"seed": seed})

@@ -1,1 +1,1 @@
-"""What estimates are worth: measures, tuning, bounds, intervals."""
+"""Evaluation of estimators: metrics, tuning, bounds, intervals."""

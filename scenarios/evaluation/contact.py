@@ -1,14 +1,14 @@
-"""Collision detection on each estimator's external torque: false alarms against delay and the smallest push that is found.
+"""Collision detection on each estimator's external torque: false alarms, delay, and the smallest push found.
 
-A detector is a threshold on |external torque|. Runs without contact give the thresholds, others of them the false alarms per
-hour; runs with drawn pushes give how many are found and how late. Every run is a draw of its own (`draws`): another joint
-within tolerance, another start and pace, another noise, and, with `sensors: realistic`, another lag of the drive. A joint that
-is off its description is off throughout a run, so the run is what is independent: intervals are bootstrapped over runs.
+A detector is a threshold on |external torque|. One half of the runs without contact gives the thresholds, the other half the
+false alarms per hour. Runs with drawn pushes give the share that is found, and the delay. Every run is a draw (`draws`):
+another joint within tolerance, another start and pace, other noise, and another lag of the drive with `sensors: realistic`.
+The joint's error is constant within a run, so that intervals are bootstrapped over runs.
 
 * **False alarms**: seconds in which the threshold is exceeded, per hour without contact.
-* **Found**: the threshold is exceeded between a push's onset and 0.1 s after its end, and was not in the half second before it.
+* **Found**: the threshold is exceeded between a push's onset and 0.1 s after its end, and not in the half second before.
 * **Delay**: from the onset, at which the torque is zero, to the alarm.
-* **Smallest push**: the size of which 90 % are found, by logistic regression over the logarithm of the size.
+* **Smallest push**: the size of which 90 % are found, by logistic regression over the log size.
 """
 
 from __future__ import annotations
@@ -32,39 +32,39 @@ from ...sim.loop import CONTROL_PERIOD, Simulation
 from ...sim.sensors import stream
 from ..experiment import Experiment, signals_of
 from ..scenario import Disturbance, Scenario
-from .draws import drawn_record, told, varied
+from .draws import drawn_record, known_within, varied
 from .intervals import Interval
 
 SENSOR = "torque sensor"
-"""Stands for the torque sensor's own reading among the estimators: what a joint with one has."""
+"""Name of the torque sensor's reading among the estimators."""
 SIZES = (0.05, 8.0)
-"""Smallest and largest drawn push [N·m]; evenly over the logarithm, either sign."""
+"""Smallest and largest drawn push [N·m], log-uniform, either sign."""
 DURATIONS = (0.1, 0.5)
-"""Shortest and longest drawn push [s], a half sine; likewise."""
+"""Shortest and longest drawn push [s], a half sine, log-uniform."""
 BY_LINK = ", by the link"
-"""Behind the name of an estimator that has an external torque of its own: the link's observer with its joint torque instead."""
+"""Suffix for the link's observer with an estimator's joint torque, if the estimator has its own external torque."""
 LARGE = 2.0
-"""Pushes of this size [N·m] or more count for the delay."""
+"""Smallest push for the delay [N·m]."""
 SHARE = 0.9
-"""Share of pushes found that makes a size the smallest."""
+"""Share of pushes found at the smallest size."""
 _PERIOD = 5.0  # s: a push in each
-_SECOND = 1.0  # s, in which alarms are one
-_AFTER = 0.1  # s after a push in which it may still be found
-_BEFORE = 0.5  # s before it in which there must be no alarm
-_RIDGE = 0.002  # of the logistic slope: keeps it finite where found and missed do not overlap
+_SECOND = 1.0  # s: alarms within it count as one
+_AFTER = 0.1  # s after a push, in which it may still be found
+_BEFORE = 0.5  # s before a push, without alarm
+_RIDGE = 0.002  # of the logistic slope: keeps it finite if found and missed sizes do not overlap
 
 
 @dataclass(frozen=True)
 class Detector:
-    """What an estimator's external torque does without and with contact.
+    """An estimator's external torque without and with contact.
 
     Attributes:
         name: of the estimator.
         quiet: Shape (runs, seconds), largest |external torque| [N·m] in each second without contact; infinite after it diverged.
         size: Shape (runs, pushes), |torque| of pushes at their largest [N·m].
         before: Shape (runs, pushes), largest |external torque| in the half second before.
-        rising: Shape (runs, pushes, ticks), largest |external torque| from the onset until then, held 0.1 s after the push.
-        untrusted: why its estimate is not to be trusted, of the runs without contact in which it is not (`estimator.trust`).
+        rising: Shape (runs, pushes, ticks), largest |external torque| since the onset, until 0.1 s after the push.
+        untrusted: reasons of the runs without contact in which its estimate is not to be trusted (`estimator.trust`).
     """
 
     name: str
@@ -76,7 +76,7 @@ class Detector:
 
     @property
     def hours(self) -> float:
-        """Time without contact [h] over which false alarms are counted: half of it, the other gives the thresholds."""
+        """Time without contact [h] for counting false alarms."""
         return self._counted.size * _SECOND / 3600.0
 
     @property
@@ -85,32 +85,32 @@ class Detector:
 
     @property
     def diverged(self) -> int:
-        """Runs without contact in which the estimate diverged."""
+        """Number of runs without contact in which the estimate diverged."""
         return int(np.count_nonzero(np.isinf(self.quiet).any(axis=1)))
 
     def threshold(self, rate: float) -> float:
-        """Threshold [N·m] that is exceeded `rate` seconds an hour without contact in every other run; NaN where their time is
-        too short, infinite where the estimate diverged for longer."""
+        """Return the threshold [N·m] that is exceeded in `rate` seconds per hour without contact; NaN if the time is too short,
+        infinite if the estimate diverged for longer."""
         seconds = np.sort(self.quiet[::2].reshape(-1))[::-1]
         exceeded = _exceeded(rate, len(seconds))
         return float(seconds[round(exceeded)]) if 1.0 <= exceeded < len(seconds) - 0.5 else math.nan
 
     def thresholds(self, points: int = 40) -> np.ndarray:
-        """Thresholds for curves, shape (points,) or fewer: from an alarm every other second to one in all of the time."""
+        """Return thresholds for curves, shape (≤ points,): from an alarm every other second to a single alarm."""
         seconds = np.sort(self.quiet[::2].reshape(-1))
         above = np.unique(np.round(np.geomspace(1, len(seconds) // 2, points)).astype(int))
         return np.unique(seconds[len(seconds) - above][np.isfinite(seconds[len(seconds) - above])])
 
     def alarms(self, threshold: float) -> np.ndarray:
-        """False alarms per hour of each run that gave no threshold, shape (runs/2,)."""
+        """Return the false alarms per hour of each run for counting, shape (runs/2,)."""
         return 3600.0 / _SECOND * np.mean(self._counted > threshold, axis=1)
 
     def found(self, threshold: float) -> np.ndarray:
-        """Which pushes are found, shape (runs, pushes)."""
+        """Return which pushes are found, shape (runs, pushes), bool."""
         return (self.rising[:, :, -1] > threshold) & ~(self.before > threshold)
 
     def delays(self, threshold: float) -> np.ndarray:
-        """Delay of every push [s], shape (runs, pushes); NaN where it is not found."""
+        """Return the delay of every push [s], shape (runs, pushes); NaN if it is not found."""
         late = np.argmax(self.rising > threshold, axis=2) * CONTROL_PERIOD
         return np.where(self.found(threshold), late, np.nan)
 
@@ -120,11 +120,11 @@ class OperatingPoint:
     """A detector at a threshold.
 
     Attributes:
-        threshold: [N·m]; NaN or infinite where there is none, and then all measures are NaN.
-        alarms: false alarms per hour, counted on other runs than those that gave the threshold.
-        smallest: size of which 90 % are found [N·m]; infinite where none is.
-        share, delay: of the large pushes the share that is found, and the median delay of those [s].
-        diverged, runs: in how many of the runs without contact the estimate diverged.
+        threshold: [N·m]; NaN or infinite if there is none, and then all measures are NaN.
+        alarms: false alarms per hour.
+        smallest: size of which 90 % are found [N·m]; infinite if there is none.
+        share, delay: share of large pushes that are found, and their median delay [s].
+        diverged, runs: number of runs without contact in which the estimate diverged, and of all of them.
         untrusted: of `Detector`.
     """
 
@@ -139,8 +139,7 @@ class OperatingPoint:
 
     @property
     def reason(self) -> str:
-        """Why it has no threshold or finds no push, whether its estimate diverged or is not to be trusted; empty where all is
-        well."""
+        """Reason for a missing threshold or smallest push, a diverged or an untrusted estimate; empty if there is none."""
         reasons = (
             [f"its estimate diverged in {self.diverged} of {self.runs} runs without contact"] if self.diverged else []
         )
@@ -155,7 +154,7 @@ class OperatingPoint:
 
 
 def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> OperatingPoint:
-    """A detector at a threshold, with 95 % bootstrap intervals over runs; none with `resamples` 0."""
+    """Evaluate a detector at a threshold, with 95 % bootstrap intervals over runs; without intervals if `resamples` is 0."""
     diverged, runs = detector.diverged, len(detector.quiet)
     if not math.isfinite(threshold):
         none = Interval(math.nan, math.nan, math.nan, 0)
@@ -187,7 +186,7 @@ def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0
 
 
 def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
-    """A detector over its thresholds, a row each: `OperatingPoint` without intervals; none where a measure is not defined."""
+    """Yield a row per threshold: `OperatingPoint` without intervals; None for undefined measures."""
     for threshold in detector.thresholds():
         p = at(detector, float(threshold), resamples=0)
         measures = {
@@ -205,7 +204,7 @@ def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
 
 
 def _quantiles(values: np.ndarray) -> np.ndarray:
-    """2.5 and 97.5 % of values; infinite ones are the largest, NaN are left out."""
+    """Return the 2.5 and 97.5 % quantiles of values, without NaN."""
     values = np.sort(values[~np.isnan(values)])
     if not len(values):
         return np.full(2, np.nan)
@@ -213,13 +212,13 @@ def _quantiles(values: np.ndarray) -> np.ndarray:
 
 
 def smallest_push(size: np.ndarray, found: np.ndarray, share: float = SHARE) -> float:
-    """Size [N·m] of which a share is found: logistic regression, P(found) = 1/(1 + exp(−(a + b ln size))), by Newton's steps.
+    """Return the size [N·m] of which a share is found: logistic regression, P(found) = 1/(1 + exp(−(a + b ln size))).
 
     Args:
         size: Shape (n,) [N·m]. found: Shape (n,), bool.
 
     Returns:
-        The size; infinite where the fit finds no more of larger pushes, or that size lies beyond twice the largest.
+        The size; infinite if it is more than twice the largest, or if larger pushes are not found more often.
     """
     if not found.any():
         return math.inf
@@ -240,7 +239,7 @@ def smallest_push(size: np.ndarray, found: np.ndarray, share: float = SHARE) -> 
 
 
 def pushes(scenario: Scenario, seed: int) -> list[Disturbance]:
-    """Drawn pushes, one in every five seconds after the transient: onset, duration, size and sign."""
+    """Draw pushes, one in every five seconds after the transient: onset, duration, size and sign."""
     rng = stream(seed, f"contact {scenario.name}")
     found = []
     for begin in np.arange(scenario.transient + 1.0, scenario.duration - _PERIOD, _PERIOD):
@@ -254,14 +253,15 @@ def pushes(scenario: Scenario, seed: int) -> list[Disturbance]:
 def external(
     name: str, estimator: Estimator | None, signals: Signals, reading: np.ndarray, known: KnownJoint
 ) -> tuple[dict[str, np.ndarray], str | None]:
-    """An estimator's external torque [N·m], shape (n,): its own where it has one, and that of the link's observer with its joint
-    torque, by name; and why it is not to be trusted, if anything speaks against it.
+    """Return an estimator's external torques [N·m], shape (n,), by name, and the reason if it is not to be trusted.
+
+    These are its own external torque, if it has one, and that of the link's observer with its joint torque.
 
     Args:
         estimator: None: the torque sensor. reading: of the sensor, shape (n,) [N·m].
 
     Raises:
-        FilterDiverged: an estimate that is no longer finite.
+        FilterDiverged: the estimate is no longer finite.
     """
     if estimator is None:
         p = known.p
@@ -274,20 +274,20 @@ def external(
 
 
 def check(scenario: Scenario, estimators: Mapping[str, Estimator], hours: float, rate: float | None = None) -> None:
-    """Refuse what `assess` cannot use.
+    """Check the arguments of `assess`.
 
     Args:
         scenario: its motion.
         estimators: by name.
-        hours: without contact in all.
-        rate: false alarms per hour at which thresholds are asked for, if any.
+        hours: without contact.
+        rate: false alarms per hour of a threshold, if any.
 
     Raises:
         InputError: an estimator that looks ahead, torque feedback, or too little time.
     """
     for name, estimator in estimators.items():
         if not estimator.causal:
-            raise InputError(f"contact: {name}: expected an estimator that looks at nothing later, got one that does")
+            raise InputError(f"contact: {name}: expected a causal estimator, got one that looks ahead")
     if scenario.feedback != "none":
         raise InputError(f"contact: scenario {scenario.name}: feedback: expected none, got {scenario.feedback!r}")
     if len(pushes(scenario, 1)) == 0:
@@ -301,7 +301,7 @@ def check(scenario: Scenario, estimators: Mapping[str, Estimator], hours: float,
 
 
 def runs_of(scenario: Scenario, hours: float) -> int:
-    """How many runs without contact `assess` makes, an even number, four at least: of whole seconds after their transients."""
+    """Return the number of runs without contact of `assess`: even, four at least."""
     return max(2 * math.ceil(hours * 1800.0 / _seconds_of(scenario)), 4)
 
 
@@ -310,7 +310,7 @@ def _seconds_of(scenario: Scenario) -> int:
 
 
 def _exceeded(rate: float, seconds: int) -> float:
-    """How many of the seconds without contact exceed a threshold of that rate."""
+    """Return the number of seconds without contact that exceed a threshold of that rate."""
     return rate * seconds * _SECOND / 3600.0
 
 
@@ -323,14 +323,14 @@ def assess(
     threads: int = 1,
     progress: Callable[[], None] = lambda: None,
 ) -> list[Detector]:
-    """Draw runs without and with contact; what every estimator's external torque does in them.
+    """Draw runs without and with contact; return a detector for every external torque.
 
     Args:
-        scenario: its motion, joint and sensors; disturbances of its own are left out. folder: of its file.
-        estimators: by name, causal ones; the torque sensor stands beside them.
-        hours: without contact in all; as many runs with pushes as there are of these, and another joint in each.
-        tolerance: share of the joint's tolerances within which it is drawn; the estimators are told the nominal numbers and how
-            well they are known, and the link encoder is tared.
+        scenario: motion, joint and sensors; its disturbances are not used. folder: of its file.
+        estimators: causal ones by name; the torque sensor is added.
+        hours: without contact; there are as many runs with pushes.
+        tolerance: share of the joint's tolerances for the draws. The estimators know the nominal numbers, their tolerances and
+            the link encoder's zero.
         threads: runs at a time; the result does not depend on it.
         progress: called after each pair of runs.
 
@@ -384,13 +384,13 @@ def _simulated(
     experiment = Experiment.of(chosen, folder)
     record = drawn_record(experiment, seed, tolerance, tared=True)
     simulation = experiment.simulate(seed, record, experiment.build(record))
-    return simulation, told(experiment.known, tolerance, tared=True)
+    return simulation, known_within(experiment.known, tolerance, tared=True)
 
 
 def _heard(
     name: str, estimator: Estimator | None, simulation: Simulation, known: KnownJoint
 ) -> tuple[dict[str, np.ndarray], str | None]:
-    """|External torque| [N·m], shape (n,), by name, infinite where the estimator diverged; why it is not to be trusted."""
+    """Return |external torque| [N·m], shape (n,), by name, infinite if it diverged; and the reason not to trust it."""
     signals = signals_of(simulation)
     try:
         found, untrusted = external(name, estimator, signals, simulation.readings["joint_torque"], known)
@@ -400,14 +400,14 @@ def _heard(
 
 
 def _seconds(heard: np.ndarray, scenario: Scenario) -> np.ndarray:
-    """Largest value in each second after the transient."""
+    """Return the largest value in each second after the transient."""
     width = round(_SECOND / CONTROL_PERIOD)
     kept = heard[round(scenario.transient / CONTROL_PERIOD) :]
     return kept[: len(kept) // width * width].reshape(-1, width).max(axis=1)
 
 
 def _around(heard: np.ndarray, pushed: Sequence[Disturbance]) -> Iterator[np.ndarray]:
-    """Sizes of the pushes, largest value before each, and running maximum from its onset on."""
+    """Yield sizes of the pushes, the largest value before each, and the running maximum from its onset."""
     width = round((DURATIONS[1] + _AFTER) / CONTROL_PERIOD)
     before, rising = [], []
     for one in pushed:

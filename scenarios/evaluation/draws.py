@@ -1,15 +1,14 @@
-"""Draws of an experiment that are independent: another joint within tolerance, another motion, other pushes, other noise.
+"""Independent draws of an experiment: another joint within tolerance, another motion, other pushes, other noise.
 
-Runs that differ in their sensors' noise alone are nearly one run: kinematic error, counts and friction act at the same
-angles in all of them, and so the errors of two seeds correlate by more than 0.9. A draw changes whatever an experiment leaves
-to chance, so that measures of draws are independent and an interval over them means what it says:
+Runs that differ only in their sensors' noise are nearly the same run: kinematic error, counts and friction act at the same
+angles, and the errors of two seeds correlate by more than 0.9. A draw changes everything that is random in an experiment:
 
-* the joint: every number that has a tolerance, drawn within `tolerance` times it (`models.calibration`);
-* the motion: start angle, within one turn of the motor to either side or more, and with it the motor's phase; its duration;
+* the joint: every number with a tolerance, drawn within `tolerance` times it (`models.calibration`);
+* the motion: the start angle, by some turns of the motor, and with it the motor's phase; the duration;
 * pushes: onset, duration, size and sign;
 * the sensors' noise; with `sensors: realistic` also the drive's lag, unless a controller is stated.
 
-The estimators are told the nominal numbers, and how well those are known.
+The estimators know the nominal numbers and their tolerances. A *tared* joint has a known link encoder zero.
 """
 
 from __future__ import annotations
@@ -33,31 +32,31 @@ from ..scenario import LAGGING, Disturbance, Scenario
 from .intervals import Interval, interval
 
 TURNS = 3.0
-"""Turns of the motor by which the start may be off the scenario's, to either side."""
+"""Largest change of the start, in turns of the motor."""
 PACE = 0.15
-"""Share by which the motion may be slower or faster."""
+"""Largest relative change of the motion's duration."""
 ONSET = 0.9
-"""Time [s] by which a push may come earlier or later."""
+"""Largest change of a push's onset [s]."""
 SIZE = (0.5, 1.5)
-"""Range of a push's size and duration, in the scenario's own."""
+"""Range of factors on a push's size and duration."""
 LAG = 4e-3
-"""Largest time [s] by which a drive lags where `sensors: realistic`."""
+"""Largest lag of a drive with `sensors: realistic` [s]."""
 MOVING = 0.02
-"""Speed [rad/s] of the command from which on the joint counts as moving: the motor at the Stribeck velocity."""
+"""Speed [rad/s] of the command above which the joint moves: the motor at the Stribeck velocity."""
 
 
 @dataclass(frozen=True)
 class DrawnExperiment:
-    """An experiment as it was drawn and what became of it; n samples.
+    """A drawn experiment and its signals; n samples.
 
     Attributes:
       seed: of the draw.
-      known: what the estimators know: the nominal numbers and how well they are known.
-      record: the plant's own, shape (1,).
-      signals: what the estimators read.
+      known: nominal numbers and their tolerances, for the estimators.
+      record: of the plant, shape (1,).
+      signals: for the estimators.
       truth: noise-free joint torque, shape (n,) [N·m].
       external_torque: on the link, shape (n,) [N·m].
-      moving: where the command moves, shape (n,); kept: what measures count, after the transient, shape (n,).
+      moving: where the command moves, shape (n,); kept: samples for metrics, after the transient, shape (n,).
     """
 
     seed: int
@@ -71,8 +70,8 @@ class DrawnExperiment:
 
 
 def varied(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with another start, pace and pushes, and with the seed as its own; no motion and no push ends after the
-    scenario that did not before."""
+    """Return the scenario with drawn start, pace and pushes, and with this seed; motions and pushes that ended within the
+    scenario still do."""
     rng = stream(seed, f"draw {scenario.name}")
     start = rng.uniform(-TURNS, TURNS) * 2 * math.pi / 100.0
     pace = 1.0 + rng.uniform(-PACE, PACE)
@@ -91,13 +90,13 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
 
 
 def of_seed(scenario: Scenario, seed: int, vary: bool = True) -> Scenario:
-    """The scenario with a seed; with another start, pace and pushes as well (`varied`), unless all seeds are to have its own."""
+    """Return the scenario with a seed, and with drawn start, pace and pushes if `vary` (`varied`)."""
     return varied(scenario, seed) if vary else scenario.model_copy(update={"seed": seed})
 
 
 def _varied_push(push: Disturbance, rng: np.random.Generator, end: float) -> Disturbance:
     if push.kind == "walk":
-        return push  # another for every seed as it is
+        return push  # it depends on the seed already
     duration = push.duration * rng.uniform(*SIZE)
     start = max(push.start + rng.uniform(-ONSET, ONSET), 0.0)
     if push.start + push.duration <= end:
@@ -107,10 +106,8 @@ def _varied_push(push: Disturbance, rng: np.random.Generator, end: float) -> Dis
 
 
 def drawn_record(experiment: Experiment, seed: int, tolerance: float, tared: bool) -> np.ndarray:
-    """The plant's record of a draw, shape (1,): its joint within `tolerance` times its tolerances.
-
-    `tared`: the link encoder's zero is known; otherwise it is drawn like everything else.
-    """
+    """Return the plant's record of a draw, shape (1,), within `tolerance` times the tolerances; `tared`: with the nominal zero of
+    the link encoder."""
     calibration = Calibration(experiment.joint)
     x = tolerance * calibration.draw(stream(seed, "tolerance"))
     if tared and "link_encoder_zero" in calibration.names:
@@ -127,15 +124,15 @@ def draw(
     vary: bool = True,
     load: float | None = None,
 ) -> DrawnExperiment:
-    """Draw an experiment and run it, without estimates.
+    """Draw an experiment and simulate it.
 
     Args:
       scenario: without torque feedback. folder: of its file.
-      seed: of everything that is drawn; the same for every tolerance, so that those can be compared draw by draw.
-      tolerance: share of the joint's tolerances within which it is drawn.
+      seed: of all random numbers; draws with different tolerances and the same seed are paired.
+      tolerance: share of the joint's tolerances for the draw.
       tared: whether the link encoder's zero is known.
       vary: whether motion and pushes are drawn, too.
-      load: gravity moment at horizontal of what is bolted on [N·m], which the estimators know; by default the mounting's.
+      load: known gravity moment of the payload at horizontal [N·m]; by default the mounting's.
 
     Raises:
       InputError: a joint that cannot bear the load.
@@ -144,13 +141,13 @@ def draw(
     experiment = Experiment.of(chosen, folder, load)
     record = drawn_record(experiment, seed, tolerance, tared)
     simulation = experiment.simulate(seed, record, experiment.build(record))
-    return draw_of(experiment, simulation, record, told(experiment.known, tolerance, tared), seed)
+    return draw_of(experiment, simulation, record, known_within(experiment.known, tolerance, tared), seed)
 
 
 def draw_of(
     experiment: Experiment, simulation: Simulation, record: np.ndarray, known: KnownJoint, seed: int
 ) -> DrawnExperiment:
-    """A simulation of an experiment as a `DrawnExperiment`."""
+    """Return a simulation of an experiment as a `DrawnExperiment`."""
     time = simulation.time
     return DrawnExperiment(
         seed, known, record, signals_of(simulation), np.ascontiguousarray(simulation.truth["joint_torque"]),
@@ -158,22 +155,21 @@ def draw_of(
     )  # fmt: skip
 
 
-def told(known: KnownJoint, tolerance: float, tared: bool) -> KnownJoint:
-    """What estimators know of a joint that is within `tolerance` times its stated tolerances."""
+def known_within(known: KnownJoint, tolerance: float, tared: bool) -> KnownJoint:
+    """Return the knowledge of estimators of a joint within `tolerance` times its tolerances."""
     found = known.within(tolerance)
     return replace(found, link_zero=0.0) if tared else found
 
 
 def rms(error: np.ndarray, where: np.ndarray) -> float:
-    """RMS [N·m] of errors, shape (n,), where a condition, shape (n,), holds; NaN where it nowhere does."""
+    """Return the RMS [N·m] of errors, shape (n,), at some samples, shape (n,), bool; NaN without samples."""
     return float(np.sqrt(np.mean(error[where] ** 2))) if np.any(where) else math.nan
 
 
 def geometric(values: np.ndarray | Sequence[float], reference: np.ndarray | Sequence[float]) -> Interval:
-    """Geometric mean of the ratios values/reference of independent draws, shape (n,), with its 95 % interval.
+    """Return the geometric mean of the ratios values/reference of independent draws, shape (n,), with its 95 % interval.
 
-    Student's t interval of the mean of log ratios; a ratio's distribution is close to log-normal where that of neither
-    error is. Draws where either is not a positive number are left out.
+    It is Student's t interval of the log ratios, which are nearly normal. Draws without positive numbers are left out.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log(np.asarray(values, dtype=np.float64) / np.asarray(reference, dtype=np.float64))

@@ -14,7 +14,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean of n values with its confidence interval; the interval is NaN for less than two, the mean for none."""
+    """A mean of n values with its confidence interval; NaN for too few values."""
 
     mean: float
     low: float
@@ -28,12 +28,12 @@ class Interval:
 
     @property
     def sign(self) -> int:
-        """−1 or 1 where the interval is all on one side of zero, else 0."""
+        """−1 or 1 if the interval is below or above zero, else 0."""
         return -1 if self.high < 0 else 1 if self.low > 0 else 0
 
 
 def interval(values: np.ndarray | Sequence[float], level: float = LEVEL) -> Interval:
-    """Mean of independent values, shape (n,), with Student's t interval; NaN are left out."""
+    """Return the mean of independent values, shape (n,), with Student's t interval, without NaN."""
     x = np.asarray(values, dtype=np.float64)
     x = x[np.isfinite(x)]
     n = len(x)
@@ -47,15 +47,15 @@ def interval(values: np.ndarray | Sequence[float], level: float = LEVEL) -> Inte
 
 
 def paired(values: np.ndarray, reference: np.ndarray, level: float = LEVEL) -> Interval:
-    """Mean of values − reference, run by run, shape (n,) each; runs where either is NaN are left out."""
+    """Return the mean of values − reference, shape (n,) each, without NaN."""
     return interval(np.asarray(values, dtype=np.float64) - np.asarray(reference, dtype=np.float64), level)
 
 
 def median(values: np.ndarray | Sequence[float], level: float = LEVEL) -> Interval:
-    """Median of independent values, shape (n,), infinite ones among them, with the interval that holds for any distribution.
+    """Return the median of independent values, shape (n,), with an interval for any distribution, without NaN.
 
-    Its ends are order statistics: x(j) to x(n + 1 − j) with the largest j for which P(Bin(n, ½) < j) ≤ (1 − level)/2; NaN where n
-    is too small for one. NaN are left out.
+    Its ends are the order statistics x(j) and x(n + 1 − j) with the largest j for which P(Bin(n, ½) < j) ≤ (1 − level)/2; NaN
+    if n is too small.
     """
     x = np.sort(np.asarray(values, dtype=np.float64))
     x = x[~np.isnan(x)]

@@ -1,12 +1,12 @@
-"""Force at a point of the link: by the six-axis sensor, which sees the force and where it acts, and by external torques, which
-mean a force where its lever is known.
+"""Force at a point of the link: by the six-axis sensor, which measures the force and its lever, and by external torques with a
+known lever.
 
 With the link's mass m, its centre at a distance r = Mg/(m g) from the axis, and f the tangential force of the joint on it (x of
 the sensor's frame), Newton's law along that direction and the balance of moments about the axis are
 
     m r θ'' = f + F − m g sin(θ + β)                Jl θ'' = Ts + F·ℓ + own torques
 
-so that the sensor's f gives F, and its torque about the axis, −Ts, the lever ℓ.
+so that the sensor's f gives F, and its torque about the axis, −Ts, gives the lever ℓ.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from ...models.signals import Signals
 from ...sim.loop import Simulation
 
 WRENCH = "wrench"
-"""The six-axis sensor's own."""
-_SEEN = 0.5  # share of the largest force from which on its lever is told
+"""Name of the six-axis sensor's force."""
+_SEEN = 0.5  # share of the largest force above which its lever is computed
 _CUTOFF = 20.0  # Hz
 
 
 @dataclass(frozen=True)
 class TipForce:
-    """What the force at the link was taken for.
+    """Estimates of the force at the link.
 
     Attributes:
         truth: Shape (n,) [N].
         forces: by name, shape (n,) [N]: `WRENCH`, and every estimator.
-        lever: where the wrench says that it acts [m]: median where the force is half its largest or more; NaN without a force.
+        lever: of the force by the wrench [m]: median at half of the largest force and more; NaN without a force.
     """
 
     truth: np.ndarray
@@ -44,7 +44,7 @@ class TipForce:
     lever: float
 
     def errors(self, kept: np.ndarray) -> dict[str, float]:
-        """RMS error [N] by name, where a condition, shape (n,), holds."""
+        """Return the RMS error [N] by name, at some samples, shape (n,), bool."""
         return {name: float(np.sqrt(np.mean((f - self.truth)[kept] ** 2))) for name, f in self.forces.items()}
 
 
@@ -57,13 +57,13 @@ def tip_force(
     lever: float,
     estimates: Mapping[str, Posterior],
 ) -> TipForce:
-    """The force by the wrench and by every estimate.
+    """Estimate the force by the wrench and by every filter.
 
     Args:
-        simulation: with the wrench's readings. signals: of it. known: of the joint.
-        mass: of the link [kg], as a scale says.
-        truth: Shape (n,), the force that acted [N]. lever: of it [m], which the estimators are told.
-        estimates: over these signals, by name.
+        simulation: with the wrench's readings. signals: of it. known: parameters of the joint.
+        mass: of the link [kg].
+        truth: Shape (n,), the true force [N]. lever: its known lever [m].
+        estimates: by name.
     """
     p, time = known.p, signals.time
     angle = signals["link_position"] - p["link_zero"]

@@ -1,10 +1,9 @@
-"""Finding each estimator's tuning parameters on training seeds, and what it is worth with them on other seeds.
+"""Tuning of estimators on training seeds, and their errors on test seeds.
 
-The plant runs once per scenario and seed; an estimator's parameters do not change what the sensors see, so each trial is an
-estimator over stored signals. What is minimised is the RMS error after the transient, over several scenarios its geometric
-mean. The search is Nelder & Mead's in the parameters' own scales, from the best of the defaults and a coarse scan of the
-first parameter, and again from where it ended. The best of all that was tried is returned, so training never ends worse than
-the defaults. No randomness.
+The plant runs once per scenario and seed, and every trial is an estimator over the stored signals. The cost is the RMS error
+after the transient, over several scenarios its geometric mean. The search is Nelder & Mead's in the parameters' scales. It
+starts at the best of the defaults and a coarse scan of the first parameter, and restarts where it ended. The best of all
+trials is returned, which is never worse than the defaults on training seeds. There is no randomness.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from scipy.stats.qmc import Halton
 
 from ...estimator.errors import FilterDiverged
 from ...estimator.estimator import Estimator
@@ -31,25 +31,24 @@ from .draws import of_seed
 from .intervals import Interval, interval
 
 EVALUATIONS = 300
-"""Settings that are tried of an estimator whose update takes less than a microsecond; a tenth of it of one that takes ten."""
+"""Trials of an estimator; a tenth for estimators that simulate the joint."""
 _SCAN = 7  # values of the first parameter before the search
 _STEP = 0.08  # of a parameter's range: the first simplex
 _FAILED = 1e6  # N·m
-_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)  # bases of Halton's sequence
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """An estimator's tuning parameters found on training seeds, and what it is worth on others.
+    """An estimator's tuned parameters, and its errors on training and test seeds.
 
     Attributes:
         name: of the estimator.
         default, tuned: before and after.
         values: tuning parameters, by field.
         train: RMS error on the training seeds, geometric mean over scenarios [N·m], default and tuned.
-        evaluations: settings tried.
+        evaluations: number of trials.
         test_default, test_tuned: Shape (scenarios, seeds), RMS errors on the test seeds [N·m].
-        at_bound: parameters that ended at a bound of their range.
+        at_bound: parameters at a bound of their range.
     """
 
     name: str
@@ -64,28 +63,28 @@ class Tuned:
 
     @property
     def default_score(self) -> float:
-        """One number of the default's RMS errors on the test seeds [N·m], as tuning has it (`score`)."""
+        """Score of the default's RMS errors on the test seeds [N·m] (`score`)."""
         return score(self.test_default)
 
     @property
     def tuned_score(self) -> float:
-        """Likewise of the tuned estimator's [N·m]."""
+        """Score of the tuned estimator's [N·m]."""
         return score(self.test_tuned)
 
     @property
     def difference(self) -> Interval:
-        """Tuned RMS less the default's on the same test runs [N·m], paired over seeds; below zero where tuning helps."""
+        """Tuned RMS minus the default's on the same test runs [N·m], paired over seeds; negative if tuning helps."""
         return interval((self.test_tuned - self.test_default).mean(axis=0))
 
 
 def simulated(
     scenarios: Sequence[tuple[Scenario, Path | None]], seeds: Sequence[int], vary: bool = True
 ) -> list[list[Run]]:
-    """Run every scenario with every seed, without estimates: one list of runs per scenario.
+    """Run every scenario with every seed, without estimates; return a list of runs per scenario.
 
     Args:
-        vary: whether start, pace and pushes are drawn per seed, too (`draws.varied`): seeds of the sensors' noise alone are no
-            independent runs, so that what is tuned on them is tuned to one motion, and intervals over them mean nothing.
+        vary: whether start, pace and pushes are drawn per seed (`draws.varied`). Otherwise all seeds have the same motion, and
+            intervals over them are wrong.
 
     Raises:
         InputError: no seeds; a scenario with an estimate fed back (`run.simulate_scenario`).
@@ -99,7 +98,7 @@ def simulated(
 
 
 def errors(estimator: Estimator, runs: Sequence[Sequence[Run]], threads: int = 1) -> np.ndarray:
-    """RMS error [N·m] over each run, shape (scenarios, seeds); a large number where the estimate diverges."""
+    """Return the RMS error [N·m] of each run, shape (scenarios, seeds); a large number if the estimate diverges."""
 
     def one(run: Run) -> float:
         try:
@@ -113,12 +112,12 @@ def errors(estimator: Estimator, runs: Sequence[Sequence[Run]], threads: int = 1
 
 
 def score(rms: np.ndarray) -> float:
-    """One number of RMS errors (scenarios, seeds): over seeds the root mean square, over scenarios the geometric mean."""
+    """Return one number for RMS errors (scenarios, seeds): root mean square over seeds, geometric mean over scenarios."""
     return float(np.exp(np.mean(np.log(np.sqrt(np.mean(rms**2, axis=1))))))
 
 
 def with_parameters(estimator: Estimator, values: Mapping[str, float]) -> Estimator:
-    """The same with other values of tuning parameters. One of the paper's starts with P0 = V: X̂(0) is the measurement."""
+    """Return an estimator with other tuning parameters; P0 = V for the paper's, as X̂(0) is the measurement."""
     return with_values(estimator, _completed(estimator, values))
 
 
@@ -133,12 +132,12 @@ def tune(
     evaluations: int = EVALUATIONS,
     threads: int = 1,
 ) -> Tuned:
-    """Tune an estimator on training runs and measure it on test runs.
+    """Tune an estimator on training runs and evaluate it on test runs.
 
     Args:
-        estimator: with its defaults; without tuning parameters it is only measured.
+        estimator: with its defaults; without tuning parameters it is only evaluated.
         train, test: runs by scenario (`simulated`).
-        evaluations: about how many settings are tried; a tenth for those that simulate the joint.
+        evaluations: about the number of trials; a tenth for estimators that simulate the joint.
         threads: runs at a time; the result does not depend on it.
     """
     tuning = estimator.tuning
@@ -180,7 +179,7 @@ def tune(
 def _search(
     cost: Callable[[np.ndarray], float], tried: Mapping[tuple[float, ...], float], dimensions: int, budget: int
 ) -> None:
-    """Nelder & Mead in the unit cube from the best of what was tried; again from there, until that gives nothing."""
+    """Run Nelder & Mead in the unit cube from the best trial, and again until there is no gain."""
     from scipy.optimize import minimize
 
     gained = True
@@ -202,13 +201,13 @@ def _search(
 
 @dataclass(frozen=True)
 class Front:
-    """The settings of an estimator of which no other one has both less noise and less delay.
+    """Settings of an estimator that no other setting beats in both noise and delay.
 
     Attributes:
         name: of the estimator.
         points: Shape (P, 2), delay to a push [ms], noise in steady state [N·m]; by delay.
         settings: the tuning parameters of each point.
-        default, tuned: the same two numbers of the defaults, and of the tuned one where there is one.
+        default, tuned: delay and noise of the defaults, and of the tuned estimator, if any.
     """
 
     name: str
@@ -219,7 +218,7 @@ class Front:
 
 
 def noise_and_delay(estimator: Estimator, runs: Sequence[Run], threads: int = 1) -> tuple[float, float]:
-    """Mean delay [ms] and noise [N·m] over runs with pushes (`metrics`); NaN where one is not defined."""
+    """Return mean delay [ms] and noise [N·m] over runs with pushes (`metrics`); NaN if not defined."""
 
     def one(run: Run) -> tuple[float, float]:
         try:
@@ -235,7 +234,7 @@ def noise_and_delay(estimator: Estimator, runs: Sequence[Run], threads: int = 1)
 
 
 def undominated(points: np.ndarray) -> np.ndarray:
-    """Indices, by the first column, of the points (P, k) of which no other is as small in all columns and smaller in one."""
+    """Return the indices of points (P, k) that no other point dominates, sorted by the first column."""
     order = np.lexsort(points.T[::-1])
     kept: list[int] = []
     for i in order:
@@ -246,32 +245,17 @@ def undominated(points: np.ndarray) -> np.ndarray:
     return np.array(kept, dtype=int)
 
 
-def halton(dimensions: int, count: int) -> np.ndarray:
-    """The first points of Halton's sequence in the unit cube, without zero; shape (count, dimensions).
-
-    Coordinate d of point i is i with its digits in the d-th prime's base mirrored at the point (Halton 1960).
-    """
-    points = np.zeros((count, dimensions))
-    for d in range(dimensions):
-        left, share = np.arange(1, count + 1), 1.0
-        while np.any(left):
-            share /= _PRIMES[d]
-            points[:, d] += share * (left % _PRIMES[d])
-            left //= _PRIMES[d]
-    return points
-
-
 def pareto(
     estimator: Estimator, runs: Sequence[Run], tuned: Estimator | None = None, count: int = 96, threads: int = 1
 ) -> Front:
-    """Sweep an estimator's tuning parameters and keep the front of noise against delay.
+    """Sweep an estimator's tuning parameters and return the front of noise against delay.
 
-    A third of the settings vary the first parameter alone, over all of its range; the rest spread over all of them
-    (`halton`). Estimators that simulate the joint get a sixteenth.
+    A third of the settings vary the first parameter alone, over its whole range. The rest is a Halton sequence over all
+    parameters. Estimators that simulate the joint get a sixteenth of the settings.
 
     Args:
         estimator: with its defaults. runs: with pushes.
-        tuned: the same after `tune`; its other parameters are then those of the sweep of the first one.
+        tuned: the estimator after `tune`; the sweep of the first parameter keeps its other parameters.
         count: settings; threads: runs at a time.
     """
     tuning, base = estimator.tuning, tuned or estimator
@@ -281,7 +265,7 @@ def pareto(
         choices = [{tuning[0].field: tuning[0].from_unit(u)} for u in np.linspace(0, 1, count)]
     elif tuning:
         choices = [{tuning[0].field: tuning[0].from_unit(u)} for u in np.linspace(0, 1, max(count // 3, 3))]
-        spread = halton(len(tuning), count - len(choices))
+        spread = Halton(len(tuning), scramble=False).random(count - len(choices) + 1)[1:]  # without zero
         choices += [{t.field: t.from_unit(u) for t, u in zip(tuning, place, strict=True)} for place in spread]
     ends = (estimator, tuned) if tuned else (estimator,)
     own = [{t.field: float(value_of(e, t.field)) for t in tuning} for e in ends]
@@ -313,7 +297,7 @@ def _on_threads(function: Callable[[_In], _Out], items: Sequence[_In], threads: 
 def tuned_data(
     found: Sequence[Tuned], scenarios: Sequence[str], train: Sequence[int], test: Sequence[int]
 ) -> dict[str, Any]:
-    """Estimators as a scenario's `filters` and as numbers what they are worth, RMS error [N·m] by seed."""
+    """Return the content of `tuned.yaml`: estimators as a scenario's `filters`, and their RMS errors [N·m]."""
     return {
         "format": 1,
         "scenarios": list(scenarios),
@@ -333,7 +317,7 @@ def tuned_data(
 def write_tuned(
     found: Sequence[Tuned], scenarios: Sequence[str], train: Sequence[int], test: Sequence[int], path: Path
 ) -> None:
-    """Write `tuned.yaml`, of `tuned_data`."""
+    """Write `tuned_data` as `tuned.yaml`."""
     text = "# Found by `flexspline tune`. rms: default, tuned [N·m]. `filters` can be copied into a scenario.\n"
     text += yaml_text(tuned_data(found, scenarios, train, test))
     with write_into_place(path) as temporary:
@@ -341,6 +325,6 @@ def write_tuned(
 
 
 def entry_of(found: Tuned) -> FilterEntry:
-    """The tuned estimator as an entry of a scenario's `filters`, numbers to six digits."""
+    """Return the tuned estimator as an entry of a scenario's `filters`, with six digits."""
     values = {k: float(f"{v:.6g}") for k, v in _completed(found.default, found.values).items()}
     return FilterEntry.model_validate({"name": found.name, "estimator": found.name, **values})

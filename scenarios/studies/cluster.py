@@ -1,7 +1,7 @@
-"""A study on a Dask cluster that is running already: chunks are its tasks, lost workers cost time only.
+"""A study on a running Dask cluster: chunks are its tasks, and lost workers only cost time.
 
-Workers need the same versions of this package and its dependencies, and see the joints', scenarios' and plugins' files under the
-same paths (shipped ones are with the package).
+Workers need the same versions of this package and its dependencies. They must find the files of joints, scenarios and plugins
+under the same paths.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from .design import Design
 from .rows import Done, compute
 
 _ATTEMPTS = 20
-"""Workers that a chunk may take down, or be on when they go, before it is thought to be its fault."""
+"""Workers that may be lost with a chunk before the sweep ends."""
 _PATIENCE = 20  # s
 
 
 def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
-    """Chunks with their rows as they finish. Few are under way at a time, however many there are.
+    """Yield chunks with their rows as they finish; few are submitted at a time.
 
     Raises:
-      InputError: Dask is not installed, there is no scheduler at the address, workers cannot compute.
+      InputError: Dask is not installed, there is no scheduler at the address, or workers cannot compute.
     """
     try:
         from distributed import CancelledError, Client, KilledWorker, as_completed
@@ -46,7 +46,6 @@ def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
         def submit(chunk: Chunk) -> None:
             attempts[chunk] = attempts.get(chunk, 0) + 1
             key = f"sweep-{design.digest[:12]}-{chunk.cell}-{chunk.begin}-{chunk.end}-{attempts[chunk]}"
-            # Lost with its worker, a task begins again elsewhere; the scheduler does that itself.
             future = client.submit(_compute, plugins.files(), design, chunk, key=key, pure=False)
             pending[str(future.key)] = chunk
             finished.add(future)
@@ -79,6 +78,6 @@ def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
 
 
 def _compute(known: tuple[Path, ...], design: Design, chunk: Chunk) -> pa.Table | None:
-    """The rows of a chunk, on a worker, which knows the plugins then."""
+    """Compute the rows of a chunk on a worker."""
     plugins.load_all(known)
     return compute(design, chunk)

@@ -1,10 +1,10 @@
-"""The dataset of a study: Parquet files that appear as chunks of runs finish, and a note on what study it is.
+"""The dataset of a study: a Parquet file per finished chunk of runs, and a note that describes the study.
 
-    OUT/study.json                                      the study, where it came from, its digest, its seeds, versions
+    OUT/study.json                                      the study, its source, digest and seeds, versions
     OUT/rows/scenario=NAME/cell=0007/runs-000032-000047.parquet
 
-A file is written under another name and moved into place, so what is there is complete. Any Parquet reader takes
-`OUT/rows` as one table, with scenario and cell from the folders' names.
+A file is moved into place when it is complete. Any Parquet reader reads `OUT/rows` as one table, with scenario and cell from the
+folders' names.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ except ImportError:  # no such locks on Windows
     fcntl = None  # type: ignore[assignment]
 
 _LARGEST_NOTE = 1_000_000_000
-"""Bytes of a note, which lists every seed."""
+"""Largest size of a note in bytes; it lists every seed."""
 _PART = re.compile(r"^runs-(\d+)-(\d+)\.parquet$")
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Runs begin … end − 1 (places in the list of seeds) of one cell."""
+    """Runs begin … end − 1 (indices of seeds) of one cell."""
 
     cell: int
     begin: int
@@ -46,7 +46,7 @@ class Chunk:
 
 
 class Dataset:
-    """Rows of a study in a folder; `open` makes or checks it."""
+    """Rows of a study in a folder."""
 
     def __init__(self, folder: Path, design: Design):
         self.folder, self.design = folder, design
@@ -54,16 +54,16 @@ class Dataset:
 
     @classmethod
     def open(cls, folder: Path, design: Design, versions: dict[str, str], source: str = "") -> Dataset:
-        """Make the folder, or go on with one of the same study; more seeds than before are welcome.
+        """Make the folder, or continue one of the same study, possibly with more seeds.
 
         Args:
           folder: of the dataset.
           design: of the study.
           versions: of the packages that compute it.
-          source: name of the shipped study, or its file's path, relative to the folder; empty where it has none.
+          source: name of the shipped study, or path of its file, relative to the folder; empty if unknown.
 
         Raises:
-          InputError: a folder with something else in it, of another study, or begun with other versions.
+          InputError: a folder with other content, of another study, or of other versions.
         """
         note = folder / "study.json"
         study = design.study.model_dump(mode="json")
@@ -77,19 +77,19 @@ class Dataset:
             before = read_note(note)
             if before["digest"] != design.digest:
                 raise InputError(
-                    f"{folder}: expected a sweep of this very study, found one of {before['study']['name']} that differs in "
+                    f"{folder}: expected a sweep of the same study, got one of {before['study']['name']} that differs in "
                     f"{_difference(before['study'], study)}; choose another --out"
                 )
             if before["versions"] != versions:
                 name = next(n for n in versions if before["versions"].get(n) != versions[n])
                 raise InputError(
-                    f"{folder}: begun with {name} {before['versions'].get(name)}, here is {versions[name]}: rows would not "
-                    "be of one kind; choose another --out"
+                    f"{folder}: expected {name} {before['versions'].get(name)}, as for the rows there, got {versions[name]}; "
+                    "choose another --out"
                 )
             shorter, longer = sorted((before["seeds"], seeds), key=len)
             if longer[: len(shorter)] != shorter:
                 raise InputError(
-                    f"{folder}: expected the seeds of the sweep there, or more, got others; choose another --out"
+                    f"{folder}: expected the seeds of its sweep, or more, got others; choose another --out"
                 )
             source = source or before.get("source", "")
             if len(seeds) <= len(before["seeds"]):
@@ -103,8 +103,8 @@ class Dataset:
         return cls(folder, design)
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
-        """Hold the folder: two sweeps at once would compute the same rows twice. A process that ends lets go by itself.
+    def locked(self) -> Iterator[None]:
+        """Hold an exclusive lock on the folder, until the process ends at the latest.
 
         Raises:
           InputError: another process holds it.
@@ -114,15 +114,15 @@ class Dataset:
                 if fcntl is not None:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
-                raise InputError(f"{self.folder}: expected no other sweep at work there, found one") from error
+                raise InputError(f"{self.folder}: expected no other sweep in this folder, found one") from error
             yield
 
     def home(self, cell: int) -> Path:
-        """Folder of a cell's rows."""
+        """Return the folder of a cell's rows."""
         return self.folder / "rows" / f"scenario={self.design.cells[cell].scenario}" / f"cell={cell:04d}"
 
     def write(self, chunk: Chunk, table: pa.Table) -> None:
-        """Add the rows of a chunk."""
+        """Write the rows of a chunk."""
         path = self.home(chunk.cell) / f"runs-{chunk.begin:06d}-{chunk.end - 1:06d}.parquet"
         if not path.parent.resolve().is_relative_to(self.folder.resolve()):
             raise InputError(f"{path.parent}: expected a folder inside {self.folder}, got a link that leads elsewhere")
@@ -130,7 +130,7 @@ class Dataset:
             pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
 
     def parts(self, cell: int) -> list[tuple[int, int, Path]]:
-        """Files of a cell in order: first run, last run + 1, path."""
+        """Return the files of a cell in order: first run, last run + 1, path."""
         found = []
         for path in self.home(cell).glob("runs-*.parquet"):
             match = _PART.match(path.name)
@@ -139,10 +139,10 @@ class Dataset:
         return sorted(found)
 
     def gaps(self, cell: int) -> list[tuple[int, int]]:
-        """Runs that a cell lacks, as intervals. A file that is damaged (a disk that filled up) is taken away.
+        """Return the missing runs of a cell as intervals; damaged files are removed.
 
         Raises:
-          InputError: a file that cannot be read at the moment: what is in it may be whole.
+          InputError: a file that cannot be read now, but may be complete.
         """
         found, at, total = [], 0, len(self.design.study.seed_list)
         for begin, end, path in self.parts(cell):
@@ -159,7 +159,7 @@ class Dataset:
         return [(a, b) for a, b in found if a < b]
 
     def missing(self, size: int) -> Iterator[Chunk]:
-        """What is to be done, in chunks of `size` runs: the first runs of all cells come first."""
+        """Yield missing runs in chunks of `size` runs, the first runs of all cells first."""
         gaps = {cell.index: self.gaps(cell.index) for cell in self.design.cells}
         for begin in range(0, len(self.design.study.seed_list), size):
             for cell, open_runs in gaps.items():
@@ -169,16 +169,16 @@ class Dataset:
                         yield Chunk(cell, a, b)
 
     def done(self) -> int:
-        """Number of runs that are there."""
+        """Return the number of finished runs."""
         return self.design.runs - sum(b - a for cell in self.design.cells for a, b in self.gaps(cell.index))
 
     def read(self, cell: int, columns: list[str] | None = None) -> pa.Table:
-        """Rows of a cell so far, of the design's seeds, by run and then as the study lists its filters."""
+        """Return the rows of a cell, of the design's seeds, sorted by run and by the study's filters."""
         tables, total = [], len(self.design.study.seed_list)
         for begin, end, path in self.parts(cell):
             if begin >= total:  # the folder may have more seeds
                 continue
-            with pq.ParquetFile(path) as file:  # the path's own folders are no columns here
+            with pq.ParquetFile(path) as file:  # without columns from the folders' names
                 table = file.read(columns=columns)
                 if end > total:
                     table = table.filter(pc.less(file.read(columns=["run"])["run"], total))
@@ -187,14 +187,14 @@ class Dataset:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a part can be read through: a disk that filled up may have left its end, or a page inside it, out."""
+    """Whether a file is complete: a full disk may have cut its end, or a page inside it."""
     try:
         with path.open("rb") as file:
             content = file.read()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     try:
-        # Not by Arrow's own threads: one that still lets go of Python's memory when Python ends ends it with SIGABRT.
+        # Without Arrow's threads: one that frees memory while Python exits causes SIGABRT.
         with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as part:
             names = part.read(use_threads=False).column_names
     except (OSError, pa.ArrowException):
@@ -205,10 +205,10 @@ def _is_whole(path: Path) -> bool:
 
 
 def read_note(note: Path) -> dict[str, Any]:
-    """What a dataset says of itself: `study`, `digest`, `versions`, `seeds`, and `source` where it is known (`Dataset.open`).
+    """Read the note of a dataset: `study`, `digest`, `versions`, `seeds`, and `source` if known (`Dataset.open`).
 
     Raises:
-      InputError: a file that is no such note.
+      InputError: a file with other content.
     """
     before = read_json(note, "the note of a sweep", _LARGEST_NOTE)
     kinds = {"digest": str, "versions": dict, "seeds": list, "study": dict}

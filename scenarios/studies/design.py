@@ -1,7 +1,7 @@
-"""The design of a study: an ordered list of runs: cells (a scenario at a point of the axes), each with every seed.
+"""The design of a study: an ordered list of cells (a scenario at a point of the axes), each with every seed.
 
-Every run's random streams derive from (study seed, scenario, seed) and nothing else: results do not depend on order,
-and all points of an axis see the same noise (pairing). Filters that only differ in their own parameters share one simulation.
+Every run's random streams derive from study seed, scenario and seed only: results do not depend on the order, and all points of
+an axis have the same noise (pairing). Filters that only differ in their parameters share one simulation.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Cell:
     Attributes:
       index: its number.
       scenario: its name in the study.
-      columns: what the dataset says of it: axis → value.
+      columns: axis → value.
     """
 
     index: int
@@ -49,7 +49,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Variant:
-    """A filter as it runs: name, the axes that vary it with their values, and the estimator, whose own name says both."""
+    """A filter with values of the axes that vary it: name, axis → value, and the estimator, named after both."""
 
     name: str
     columns: dict[str, Value]
@@ -58,12 +58,12 @@ class Variant:
 
 @dataclass(frozen=True)
 class Design:
-    """A study with everything that it names read in; can be sent to other processes.
+    """A study with all its files loaded; it can be sent to other processes.
 
     Attributes:
-      study: what is asked.
+      study: the study.
       scenarios: name in the study → (data of the scenario with the study's changes, folder of its file).
-      digest: changes with anything that changes rows, but not with the number of seeds.
+      digest: hash of everything that determines the rows, without the seeds.
     """
 
     study: Study
@@ -72,15 +72,15 @@ class Design:
 
     @classmethod
     def of(cls, study: Study, folder: Path = Path()) -> Design:
-        """Read the scenarios, and check that every cell can run.
+        """Load the scenarios, and check that every cell can run.
 
         Raises:
-          InputError: a scenario, key, joint or cause that does not fit; one line.
+          InputError: a wrong scenario, key, joint or cause.
         """
         scenarios = {}
         for choice in study.scenarios:
-            beside = folder / choice.scenario
-            scenario, home = load_scenario(beside if beside.is_file() else choice.scenario)
+            local = folder / choice.scenario
+            scenario, home = load_scenario(local if local.is_file() else choice.scenario)
             data = scenario.model_dump(mode="json", exclude_none=True)
             feeding = [f for f in scenario.filters if f.name == scenario.feedback and f.name not in study.names]
             data["filters"] = [f.model_dump() for f in [*study.filters, *feeding]]
@@ -88,14 +88,14 @@ class Design:
                 put(data, key, value, f"study {study.name}: set {key}")
             name = choice.name or scenario.name
             if name in scenarios:
-                raise InputError(f"study {study.name}: scenarios: expected names of their own, got {name!r} twice")
+                raise InputError(f"study {study.name}: scenarios: expected each name once, got {name!r} twice")
             scenarios[name] = (data, str(home.resolve()))
         design = cls(study, scenarios, "")
         return replace(design, digest=design._check())
 
     def _check(self) -> str:
-        """Build the plant at every value of every axis, the others at their first; the digest of all that rows depend on, the
-        states of plugins among it."""
+        """Build the plant at every value of every axis, with the others at their first; return the digest of everything that
+        determines the rows, including plugins."""
         seen: set[str] = set()
         for cell in self.cells:
             if not self._near_first(cell):
@@ -111,7 +111,7 @@ class Design:
             for axis in self.study.axes:
                 for cause in axis.causes if isinstance(axis, CauseAxis) else ():
                     if not causes.get(cause).concerns(experiment.joint):
-                        raise InputError(f"{where}: cause {cause}: joint {experiment.joint.name} leaves no room for it")
+                        raise InputError(f"{where}: cause {cause}: joint {experiment.joint.name} cannot have it")
                     seen.add(causes.origin(cause).state)
             seen.update(registry.origin(entry.estimator).state for entry in experiment.scenario.filters)
             seen.update(own_sensors.origin(name).state for name in own_sensors.names())
@@ -126,7 +126,7 @@ class Design:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _near_first(self, cell: Cell) -> bool:
-        """Whether a cell is off the first point of at most one axis, and has the first of the causes."""
+        """Whether a cell differs from the first point in at most one axis, which is not of causes."""
         away = 0
         for axis in self.study.plant_axes:
             off = any(cell.columns[name] != value for name, value in points(axis)[0].items())
@@ -147,7 +147,7 @@ class Design:
 
     @cached_property
     def variants(self) -> list[Variant]:
-        """All filters with all their variants, in order; one that no axis varies stands once."""
+        """All variants of all filters, in order."""
         found = []
         for entry in self.study.filters:
             axes = [axis for axis in self.study.filter_axes if varies(axis, entry)]
@@ -162,11 +162,11 @@ class Design:
         return len(self.cells) * len(self.study.seed_list)
 
     def key(self, cell: Cell, seed: int) -> str:
-        """A name for one simulation that no other one of any study has."""
+        """Return a unique key of one simulation."""
         return hashlib.sha256(f"{self.digest}/{cell.index}/{seed}".encode()).hexdigest()[:16]
 
     def experiment(self, cell: Cell) -> Experiment:
-        """The cell's scenario, ready to run with any seed."""
+        """Return the cell's scenario, prepared for any seed."""
         data, folder = self.scenarios[cell.scenario]
         data, load = copy.deepcopy(data), None
         where = f"study {self.study.name}: scenario {cell.scenario}"
@@ -182,13 +182,13 @@ class Design:
         return Experiment.of(parse(data, Scenario, where), Path(folder), load)
 
     def noise_seed(self, cell: Cell, seed: int) -> int:
-        """Seed of the sensors' noise of a run."""
+        """Return the seed of the sensors' noise of a run."""
         return _mixed(self.study.seed, zlib.crc32(cell.scenario.encode()), seed)
 
     def drawn(self, cell: Cell, seed: int, experiment: Experiment) -> tuple[Experiment, np.ndarray | None]:
-        """A cell's experiment as a seed draws it, and the plant's record, shape (1,), where it is not the experiment's own.
+        """Return a cell's experiment drawn with a seed, and the plant's record, shape (1,), if it was drawn, too.
 
-        A joint within tolerance depends on study and seed alone; motion and pushes on the scenario as well.
+        A joint within tolerance depends on study and seed only, motion and pushes also on the scenario.
         """
         if self.study.vary:
             scenario = draws.varied(experiment.scenario, self.noise_seed(cell, seed))
@@ -202,12 +202,12 @@ class Design:
             if isinstance(axis, ToleranceAxis):
                 tolerance = float(cell.columns[axis.name])
                 record = draws.drawn_record(experiment, _mixed(self.study.seed, seed), tolerance, axis.tared)
-                experiment = replace(experiment, known=draws.told(experiment.known, tolerance, axis.tared))
+                experiment = replace(experiment, known=draws.known_within(experiment.known, tolerance, axis.tared))
         hidden = self.hidden(cell, seed, experiment.record if record is None else record)
         return experiment, record if hidden is None else hidden
 
     def hidden(self, cell: Cell, seed: int, record: np.ndarray) -> np.ndarray | None:
-        """The plant's record with the cell's cause in it, shape (1,); None where there is none."""
+        """Return the plant's record with the cell's cause, shape (1,); None without a cause."""
         cause = str(cell.columns.get("cause", "none"))
         if cause == "none":
             return None
@@ -220,7 +220,7 @@ class Design:
 
 
 def _mixed(*numbers: int) -> int:
-    """One seed of several numbers."""
+    """Return one seed for several numbers."""
     words = np.random.SeedSequence(numbers).generate_state(2)
     return (int(words[0]) << 31) ^ int(words[1])
 

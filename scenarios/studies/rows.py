@@ -1,11 +1,10 @@
-"""Rows of a study's dataset: the runs of a chunk, simulated, estimated and measured."""
+"""Rows of a study's dataset: simulation, estimation and metrics of the runs of a chunk."""
 
 from __future__ import annotations
 
 import json
 import threading
 from collections.abc import Generator
-from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from typing import Any
@@ -28,20 +27,12 @@ Done = Generator[tuple[Chunk, pa.Table], None, None]
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of what the bits of a row depend on."""
+    """Return the versions of the packages that determine the bits of a row."""
     return {name: metadata.version(name) for name in ("flexspline", "mujoco", "numpy", "scipy", "numba")}
 
 
-@dataclass(frozen=True)
-class VariantOutcome:
-    """What became of one variant in one run: measures by name, or why there are none."""
-
-    metrics: dict[str, float | None]
-    failure: str = ""
-
-
 def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -> pa.Table | None:
-    """The rows of a chunk: runs of one cell, one after the other. None when asked to stop.
+    """Compute the rows of a chunk, which are runs of one cell; None when `stop` is set.
 
     Raises:
       InputError: a scenario that cannot run.
@@ -56,16 +47,16 @@ def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -
         seed = design.study.seed_list[run]
         drawn, record = design.drawn(cell, seed, experiment)
         plant = model if record is None else drawn.build(record)
-        outcomes = outcomes_of(design, cell, seed, drawn, record, plant)
+        found = results(design, cell, seed, drawn, record, plant)
         head: dict[str, Any] = {"run": run, "seed": seed, "key": design.key(cell, seed), **cell.columns}
-        for variant, outcome in zip(design.variants, outcomes, strict=True):
-            rows.append(head | variant.columns | {"filter": variant.name, "failure": outcome.failure} | outcome.metrics)
+        for variant, result in zip(design.variants, found, strict=True):
+            rows.append(head | variant.columns | {"filter": variant.name} | result)
     table = pa.Table.from_pylist(rows, schema=schema(design))
     return table.replace_schema_metadata({"versions": json.dumps(versions(), sort_keys=True)})
 
 
 def schema(design: Design) -> pa.Schema:
-    """Columns of the dataset, but for scenario and cell, which its folders name."""
+    """Return the columns of the dataset, without scenario and cell, which its folders name."""
     kinds: dict[str, pa.DataType] = {"cause": pa.string()}
     for axis in design.study.axes:
         text = isinstance(getattr(axis, "values", [0.0])[0], str)
@@ -79,27 +70,27 @@ def schema(design: Design) -> pa.Schema:
     )
 
 
-def outcomes_of(
+def results(
     design: Design, cell: Cell, seed: int, experiment: Experiment, record: np.ndarray | None, model: mujoco.MjModel
-) -> list[VariantOutcome]:
-    """Simulate once; what became of every variant. One that diverges leaves the others as they are."""
+) -> list[dict[str, Any]]:
+    """Simulate once; return for every variant its metrics and `failure`, the reason if it has none."""
     try:
         simulation = experiment.simulate(design.noise_seed(cell, seed), record, model)
         signals = signals_of(simulation)
         raw = registry.get("model").estimate(signals, experiment.known).mean
     except (InputError, FilterDiverged) as error:
-        return [VariantOutcome({}, str(error))] * len(design.variants)
+        return [{"failure": str(error)}] * len(design.variants)
     reference = reference_of(simulation, raw, experiment.external_torque, experiment.scenario.transient)
-    outcomes = []
+    found: list[dict[str, Any]] = []
     for variant in design.variants:
         try:
-            found = variant.estimator.estimate(signals, experiment.known)
+            posterior = variant.estimator.estimate(signals, experiment.known)
         except (InputError, FilterDiverged) as error:
-            outcomes.append(VariantOutcome({}, str(error)))
+            found.append({"failure": str(error)})
             continue
-        if not np.isfinite(found.mean).all():
-            outcomes.append(VariantOutcome({}, f"{variant.estimator.name}: the estimate is no longer a finite number"))
+        if not np.isfinite(posterior.mean).all():
+            found.append({"failure": f"{variant.estimator.name}: the estimate is no longer a finite number"})
             continue
-        measured = reference.evaluate_posterior(found)
-        outcomes.append(VariantOutcome({name: measured[name] for name in design.study.metrics}))
-    return outcomes
+        measured = reference.evaluate_posterior(posterior)
+        found.append({"failure": ""} | {name: measured[name] for name in design.study.metrics})
+    return found

@@ -1,13 +1,12 @@
-"""What a dataset says: means over seeds with confidence intervals, and differences between filters paired over seeds.
+"""Statistics of a dataset: means over seeds with confidence intervals, and differences between filters paired over seeds.
 
-Intervals are Student's t at 95 %: `mean ± t(0.975, n − 1)·s/√n`. Runs of different seeds are independent, and the mean of
-dozens of them is close to normal whatever a single measure's distribution. A difference between two filters is taken run by
-run, on the same signals: what both have in common cancels, and the interval is that of the differences.
+Intervals are Student's t at 95 %: `mean ± t(0.975, n − 1)·s/√n`. Runs of different seeds are independent, and the mean of dozens
+of them is nearly normal. A difference between two filters is computed run by run on the same signals, so that common variation
+cancels.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,19 +22,21 @@ from .dataset import Dataset
 from .design import Design
 from .study import Study, Value
 
+_ENDS = ("mean", "low", "high")
+
 
 @dataclass(frozen=True)
 class Aggregate:
-    """What a filter is worth at a point of a study.
+    """The metrics of a filter at a point of a study.
 
     Attributes:
       scenario: its name.
-      columns: axis → value, of the plant's and of the filter's axes; of those that vary the reference alone, the variant of the
-        reference that it is compared to.
+      columns: axis → value, of the plant's and of the filter's axes; of axes that vary the reference only, the value of the
+        reference that it is compared with.
       filter: its name.
-      runs, failed: how many there are, and how many of them have no measures (diverged).
+      runs, failed: number of runs, and of those without metrics (diverged).
       values: metric → mean over seeds.
-      differences: metric → mean of this filter less the reference, on the same runs.
+      differences: metric → mean of this filter minus the reference, on the same runs.
     """
 
     scenario: str
@@ -48,9 +49,9 @@ class Aggregate:
 
 
 def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
-    """What filters are worth in all cells that have rows, one cell in memory at a time.
+    """Yield the metrics of all filters in all cells that have rows, one cell in memory at a time.
 
-    A filter stands once beside every variant of the reference that it has to be compared to.
+    A filter occurs once for every variant of the reference that it is compared with.
     """
     design = dataset.design
     for cell in design.cells:
@@ -59,10 +60,10 @@ def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
             continue
         width = len(design.variants)
         failed = np.array([bool(f) for f in table["failure"].to_pylist()]).reshape(-1, width)
-        values = {}
-        for name in design.study.metrics:
-            column = table[name].to_numpy(zero_copy_only=False).astype(np.float64)
-            values[name] = column.reshape(-1, width)  # (runs, variants): rows come run by run
+        values = {  # (runs, variants): rows are sorted by run
+            name: table[name].to_numpy(zero_copy_only=False).astype(np.float64).reshape(-1, width)
+            for name in design.study.metrics
+        }
         for i, variant in enumerate(design.variants):
             for other, columns in counterparts(design, i):
                 yield Aggregate(
@@ -77,9 +78,9 @@ def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
 
 
 def counterparts(design: Design, i: int) -> list[tuple[int, dict[str, Value]]]:
-    """The variants of the reference that the i-th variant is compared to, and where on the filters' axes either stands.
+    """Return the variants of the reference that the i-th variant is compared with, and their values of the filters' axes.
 
-    Those with the same settings of the axes that vary both; of a variant of the reference, itself.
+    They have the same settings of axes that vary both. A variant of the reference is its own counterpart.
     """
     own = design.variants[i]
     if own.name == design.study.compared_to:
@@ -93,52 +94,52 @@ def counterparts(design: Design, i: int) -> list[tuple[int, dict[str, Value]]]:
 
 
 def summary_rows(aggregates: list[Aggregate], design: Design) -> Iterator[dict[str, Any]]:
-    """All aggregates, a row each: for each metric mean, lower and upper end, and the same of the paired difference."""
-    axes = list(aggregates[0].columns) if aggregates else []
-    metrics = design.study.metrics
-    ends = ("mean", "low", "high")
-    head = ["scenario", *axes, "filter", "runs", "failed"]
-    head += [f"{m}_{e}" for m in metrics for e in ends] + [f"{m}_difference_{e}" for m in metrics for e in ends]
+    """Yield a row per aggregate: mean, lower and upper end of each metric, and of each paired difference."""
 
-    def cells(found: dict[str, Interval]) -> list[float | None]:
-        return [None if m not in found else getattr(found[m], e) for m in metrics for e in ends]
+    def cells(found: dict[str, Interval], kind: str) -> dict[str, float | None]:
+        return {
+            f"{m}_{kind}{e}": None if m not in found else getattr(found[m], e)
+            for m in design.study.metrics
+            for e in _ENDS
+        }
 
     for s in aggregates:
-        at = [s.columns[a] for a in axes]
-        row = [s.scenario, *at, s.filter, s.runs, s.failed, *cells(s.values), *cells(s.differences)]
-        yield dict(zip(head, row, strict=True))
+        head = {"scenario": s.scenario, **s.columns, "filter": s.filter, "runs": s.runs, "failed": s.failed}
+        yield head | cells(s.values, "") | cells(s.differences, "difference_")
+
+
+def write_csv(aggregates: list[Aggregate], design: Design, path: Path, digits: int | None = None) -> None:
+    """Write `summary_rows` as CSV; `digits`: of its numbers, all of them by default."""
+
+    def text(value: Any) -> Any:
+        return f"{value:.{digits}g}" if digits is not None and isinstance(value, float) else value
+
+    write_rows(path, [{key: text(value) for key, value in row.items()} for row in summary_rows(aggregates, design)])
 
 
 def read_csv(path: Path, study: Study) -> list[Aggregate]:
-    """Aggregates that `write_csv` wrote.
+    """Read the aggregates of `write_csv`.
 
     Raises:
-      InputError: a file that is none of this study.
+      InputError: a file with other content.
     """
+    import pandas as pd
 
-    def cells(row: dict[str, str], kind: str, n: int) -> dict[str, Interval]:
-        ends = {m: [row[f"{m}_{kind}{end}"] for end in ("mean", "low", "high")] for m in study.metrics}
-        numbers = {m: [float(x or math.nan) for x in three] for m, three in ends.items() if any(three) or not kind}
-        return {m: Interval(a, b, c, n) for m, (a, b, c) in numbers.items()}
-
-    def value(text: str) -> Value | None:
-        try:
-            return float(text) if text else None
-        except ValueError:
-            return text
+    def cells(row: dict[Any, Any], kind: str, n: int) -> dict[str, Interval]:
+        ends = {m: [float(row[f"{m}_{kind}{end}"]) for end in _ENDS] for m in study.metrics}
+        return {m: Interval(e[0], e[1], e[2], n) for m, e in ends.items() if not kind or not all(map(math.isnan, e))}
 
     found = []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                if None in row or None in row.values():
-                    raise ValueError("a row that is shorter or longer than the header")
-                head = list(row)
-                axes = head[1 : head.index("filter")]
-                runs, failed = int(row["runs"]), int(row["failed"])
-                values, differences = cells(row, "", runs - failed), cells(row, "difference_", runs - failed)
-                at = {axis: value(row[axis]) for axis in axes}
-                found.append(Aggregate(row["scenario"], at, row["filter"], runs, failed, values, differences))
+        table = pd.read_csv(path, keep_default_na=False, na_values=[""], float_precision="round_trip")
+        if not isinstance(table.index, pd.RangeIndex):
+            raise ValueError("a row that is longer than the header")
+        axes = list(table.columns)[1 : list(table.columns).index("filter")]
+        for row in table.to_dict("records"):
+            runs, failed = int(row["runs"]), int(row["failed"])
+            at = {axis: None if pd.isna(row[axis]) else _value(row[axis]) for axis in axes}
+            values, differences = cells(row, "", runs - failed), cells(row, "difference_", runs - failed)
+            found.append(Aggregate(row["scenario"], at, row["filter"], runs, failed, values, differences))
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: expected the summary of a sweep of {study.name}, got something else") from error
     if not found:
@@ -146,11 +147,8 @@ def read_csv(path: Path, study: Study) -> list[Aggregate]:
     return found
 
 
-def write_csv(aggregates: list[Aggregate], design: Design, path: Path, digits: int | None = None) -> None:
-    """`summary_rows` as CSV; `digits`: of its numbers, all of them by default."""
-
-    def text(value: Any) -> Any:
-        return f"{value:.{digits}g}" if digits is not None and isinstance(value, float) else value
-
-    rows = [{key: text(value) for key, value in row.items()} for row in summary_rows(aggregates, design)]
-    write_rows(path, rows)
+def _value(value: Any) -> Value:
+    try:
+        return float(value)
+    except ValueError:
+        return str(value)

@@ -1,9 +1,8 @@
-"""The schema of STUDY.yaml: which scenarios, over which seeds and parameters, with which estimators."""
+"""The schema of STUDY.yaml: scenarios, seeds, parameters and estimators."""
 
 from __future__ import annotations
 
 import itertools
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -18,9 +17,9 @@ METRICS = (
     "rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms", "missed",
     "robust_share", "mean_nis", "untrusted",
 )  # fmt: skip
-"""What may be measured of an estimate; as in a run's `metrics.json`, and `untrusted`: 1 where it is not to be trusted, else 0."""
+"""Metrics of an estimate, as in a run's `metrics.json`; `untrusted`: 1 if it is not to be trusted, else 0."""
 COLUMNS = ("scenario", "cell", "run", "seed", "key", "cause", "filter", "failure")
-"""Columns of the dataset that no axis may be called."""
+"""Columns of the dataset, which are no names for axes."""
 MOST_SEEDS = 10_000_000
 _NAME = r"^[A-Za-z][A-Za-z0-9_]*$"
 
@@ -28,35 +27,35 @@ Value = float | str
 
 
 class Axis(Strict):
-    """A parameter that varies. `name`: its column in the dataset; `label`: how pictures call it, with unit."""
+    """A parameter that varies."""
 
     name: Annotated[str, Field(pattern=_NAME)]
-    """Of its column in the dataset."""
+    """Name of its column in the dataset."""
     label: str = ""
-    """How pictures call it, with unit."""
+    """Name in figures, with unit."""
 
     @property
     def title(self) -> str:
-        """Label, or the name where there is none."""
+        """Label, or else the name."""
         return self.label or self.name
 
 
 class SettingAxis(Axis):
     """A dotted key of the scenario: `sensors.link_encoder.noise`, `plant.K2`, `mounting`, `controller.kp`.
 
-    `filters.NAME.FIELD` varies a filter's tuning parameter, `filters.*.FIELD` that of every filter that has it; all variants
-    then watch the same simulation.
+    `filters.NAME.FIELD` varies a filter's tuning parameter, `filters.*.FIELD` that of every filter that has it. All these
+    variants share one simulation.
     """
 
     kind: Literal["set"]
     key: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\.[A-Za-z0-9_*-]+)*$")]
     """Dotted key of the scenario, or `filters.NAME.FIELD`."""
     values: Annotated[list[Value], Field(min_length=1)]
-    """That it takes."""
+    """Values of the key."""
 
     @property
     def of_filters(self) -> bool:
-        """Whether it varies filters and not the plant."""
+        """Whether it varies filters instead of the plant."""
         return self.key.startswith("filters.")
 
     @property
@@ -66,22 +65,22 @@ class SettingAxis(Axis):
 
     @property
     def parameter(self) -> str:
-        """The parameter of filters that it varies; dotted where it lies inside."""
+        """The parameter of filters that it varies, with dots."""
         return ".".join(self.key.split(".")[2:])
 
 
 class ScaleAxis(Axis):
-    """Several keys at once, each of its number times the axis's value: all sensors' noise, say."""
+    """Several keys at once, each a number times the axis's value, such as the noise of all sensors."""
 
     kind: Literal["scale"]
     keys: Annotated[dict[str, float], Field(min_length=1)]
-    """Dotted keys with the number that each is at 1."""
+    """Dotted keys with their number at value 1."""
     values: Annotated[list[float], Field(min_length=1)]
-    """Factors on all of them."""
+    """Factors on these numbers."""
 
 
 class LoadAxis(Axis):
-    """Gravity moment [N·m] at horizontal of what is bolted on, known to the estimators; the inertia in proportion."""
+    """Gravity moment [N·m] of the payload at horizontal, known to the estimators; the inertia changes in proportion."""
 
     kind: Literal["load"]
     name: Annotated[str, Field(pattern=_NAME)] = "load"
@@ -92,7 +91,7 @@ class LoadAxis(Axis):
 class CauseAxis(Axis):
     """Causes of `models.causes`, hidden in the plant: parameters of ordinary size, drawn per seed, times each size.
 
-    The draw at another size is the same draw, larger or smaller. Size 0 is the joint without any, once for all causes.
+    Draws at different sizes are multiples of each other. Size 0 is the joint without a cause.
     """
 
     kind: Literal["cause"]
@@ -100,7 +99,7 @@ class CauseAxis(Axis):
     causes: Annotated[list[str], Field(min_length=1)]
     """Names (`flexspline causes`)."""
     sizes: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)]
-    """In ordinary sizes; 0 is the joint without any."""
+    """In ordinary sizes; 0 is the joint without a cause."""
 
     @model_validator(mode="after")
     def _known(self) -> CauseAxis:
@@ -113,44 +112,43 @@ class CauseAxis(Axis):
 
 
 class ToleranceAxis(Axis):
-    """The plant's joint drawn within so many times its tolerances, per seed; the estimators are told the nominal numbers, and
-    how well those are known.
+    """The plant's joint drawn within multiples of its tolerances, per seed; the estimators know the nominal numbers and their
+    tolerances.
 
-    The draw at another tolerance is the same draw, farther or nearer, and every scenario has the same joints. `tared`: the link
-    encoder's zero is known; otherwise it is drawn, too.
+    Draws at different tolerances are multiples of each other, and every scenario has the same joints.
     """
 
     kind: Literal["tolerance"]
     name: Annotated[str, Field(pattern=_NAME)] = "tolerance"
     values: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)]
-    """In the joint's own tolerances."""
+    """In the joint's tolerances."""
     tared: bool = True
-    """Whether the link encoder's zero is known."""
+    """Whether the link encoder's zero is known; otherwise it is drawn, too."""
 
 
 AnyAxis = Annotated[SettingAxis | ScaleAxis | LoadAxis | CauseAxis | ToleranceAxis, Field(discriminator="kind")]
 
 
 class Seeds(Strict):
-    """Which seeds: `count` of them from `first` on."""
+    """`count` seeds from `first` on."""
 
     first: Annotated[int, Field(ge=0, lt=2**31)] = 1
-    """The first."""
+    """First seed."""
     count: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
-    """How many."""
+    """Number of seeds."""
 
 
 class ScenarioChoice(Strict):
-    """A scenario, by a shipped one's name or a path, with changes to dotted keys; `name`: its own, where used twice."""
+    """A scenario with changes to dotted keys."""
 
     short: ClassVar[str] = "string"
 
     scenario: str
-    """A shipped one's name, or a path."""
+    """Name of a shipped scenario, or a path."""
     name: Annotated[str, Field(pattern=r"^([A-Za-z0-9][A-Za-z0-9_.-]*)?$")] = ""
-    """Its own, where a scenario is used twice."""
+    """Name in the study, if a scenario is used twice."""
     set: dict[str, Value | bool] = {}
-    """Changes to its dotted keys."""
+    """Changes to dotted keys."""
 
     @model_validator(mode="before")
     @classmethod
@@ -159,36 +157,36 @@ class ScenarioChoice(Strict):
 
 
 class Study(Strict):
-    """What is swept. All combinations of scenarios and axes' values, each with every seed."""
+    """A sweep over all combinations of scenarios and values of axes, each with every seed."""
 
     format: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    """In figures and tables."""
+    """Name in figures and tables."""
     description: str = ""
-    """What it asks."""
+    """Purpose."""
     seed: Annotated[int, Field(ge=0, lt=2**31, description="of the study; every run's streams derive from it")] = 1
     seeds: Seeds | Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)]
     """A list, or `first` and `count`."""
     scenarios: Annotated[list[ScenarioChoice], Field(min_length=1)]
-    """Names or paths, or such with changes."""
+    """Names or paths, also with changes."""
     set: Annotated[dict[str, Value | bool], Field(description="changes to dotted keys of every scenario")] = {}
     vary: Annotated[bool, Field(description="draw start, pace and pushes per seed, so that runs are independent")] = (
         False
     )
     axes: Annotated[list[AnyAxis], Field(max_length=6)] = []
-    """What varies; all combinations are run."""
+    """Parameters that vary, in all combinations."""
     filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)
     """Estimators, as in a scenario."""
     metrics: Annotated[list[Literal[METRICS]], Field(min_length=1)] = list(METRICS)  # type: ignore[valid-type]
-    """Which measures are kept."""
-    reference: Annotated[str, Field(description="filter that the others are compared to")] = ""
+    """Metrics in the dataset."""
+    reference: Annotated[str, Field(description="filter that the others are compared with")] = ""
 
     @model_validator(mode="after")
     def _consistent(self) -> Study:
         names = self.names
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"filters: expected names of their own, got {name!r} twice")
+                raise ValueError(f"filters: expected each name once, got {name!r} twice")
         if self.reference not in ("", *names):
             raise ValueError(
                 f"reference: expected one of {names}, got {self.reference!r}{nearest(self.reference, names)}"
@@ -232,7 +230,7 @@ class Study(Strict):
 
     @property
     def compared_to(self) -> str:
-        """The reference; RAREKF, or else the last filter, where none is named."""
+        """The reference; by default RAREKF, or else the last filter."""
         return self.reference or ("RAREKF" if "RAREKF" in self.names else self.names[-1])
 
     @property
@@ -243,7 +241,7 @@ class Study(Strict):
 
     @property
     def plant_axes(self) -> list[AnyAxis]:
-        """Axes that ask for another simulation."""
+        """Axes that need another simulation."""
         return [a for a in self.axes if not (isinstance(a, SettingAxis) and a.of_filters)]
 
     @property
@@ -252,7 +250,7 @@ class Study(Strict):
         return [a for a in self.axes if isinstance(a, SettingAxis) and a.of_filters]
 
     def with_seeds(self, count: int) -> Study:
-        """The same study with the first `count` seeds, or with more where it counts them."""
+        """Return the study with `count` seeds; at most those that it lists."""
         if isinstance(self.seeds, Seeds):
             if count > MOST_SEEDS:
                 raise InputError(f"--seeds: expected at most {MOST_SEEDS}, got {count}")
@@ -263,12 +261,12 @@ class Study(Strict):
 
 
 def varies(axis: SettingAxis, entry: FilterEntry) -> bool:
-    """Whether an axis varies a filter."""
+    """Return whether an axis varies a filter."""
     return axis.filter in ("*", entry.name) and axis.parameter in parameters_of(entry.build())
 
 
 def points(axis: AnyAxis) -> list[dict[str, Value]]:
-    """The columns of an axis at each of its points; a cause axis has two."""
+    """Return the columns of an axis at each of its points; a cause axis has two columns."""
     if isinstance(axis, CauseAxis):
         none: list[dict[str, Value]] = [{"cause": "none", axis.name: 0.0}] if 0.0 in axis.sizes else []
         sizes = [s for s in axis.sizes if s != 0.0]
@@ -277,16 +275,15 @@ def points(axis: AnyAxis) -> list[dict[str, Value]]:
 
 
 def shipped_studies() -> dict[str, Path]:
-    """The studies that the package ships, by name."""
-    folder = Path(str(resources.files(str(__package__))))
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    """Return the studies that the package ships, by name."""
+    return {path.stem: path for path in sorted(Path(__file__).parent.glob("*.yaml"))}
 
 
 def load_study(source: str | Path) -> tuple[Study, Path]:
-    """Load a study by the name of a shipped one, or from a YAML file; and the folder of its file.
+    """Load a shipped study by its name, or a YAML file; return it with the folder of its file.
 
     Raises:
-      InputError: no such study, or one that is wrong; one line.
+      InputError: an unknown or wrong study.
     """
     path = find(source, shipped_studies(), "study")
     return load(path, Study, "a study"), path.parent

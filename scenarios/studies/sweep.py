@@ -1,8 +1,8 @@
 """Runs of a study into rows of its dataset, on threads or on a cluster.
 
-The closed loop is compiled and releases the interpreter's lock, and so do the estimators and the costly measures: threads
-step as many joints side by side as there are cores. Every run is computed alone, from its own streams: rows are the same to
-the bit for any number of threads or workers, any chunk size, and any interruption.
+The closed loop, the estimators and the costly metrics are compiled and release the interpreter's lock, so that threads use all
+cores. Every run has its own random streams: rows are the same to the bit for any number of threads or workers, any chunk size,
+and any interruption.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _LARGEST_CHUNK = 16
 
 
 def chunk_size(design: Design, jobs: int) -> int:
-    """Runs per chunk: 16, fewer where that would leave jobs without work."""
+    """Return the runs per chunk: 16, or fewer to keep all jobs busy."""
     per_job = math.ceil(design.runs / (4 * jobs))
     return max(1, min(_LARGEST_CHUNK, per_job, len(design.study.seed_list)))
 
 
 def on_threads(design: Design, chunks: Iterator[Chunk], jobs: int) -> Done:
-    """Chunks with their rows as they finish, on `jobs` threads; few are under way at a time, however many there are."""
+    """Yield chunks with their rows as they finish, on `jobs` threads; few are submitted at a time."""
     stop = threading.Event()
     with ThreadPoolExecutor(jobs, thread_name_prefix="sweep") as pool:
         pending: dict[Future[pa.Table | None], Chunk] = {}
@@ -58,47 +58,36 @@ def sweep(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda runs: None,
 ) -> None:
-    """Compute what is missing of a dataset and write it as it comes. May be interrupted at any time, and called again.
+    """Compute the missing rows of a dataset and write them at once. It may be interrupted at any time, and called again.
 
     Args:
       design: the study.
       dataset: of this study.
-      jobs: threads; on a cluster, chunks under way are twice the cluster's threads.
+      jobs: threads; on a cluster, twice the cluster's threads are submitted.
       chunk: runs per chunk and file; by default as many as keep all jobs busy.
-      scheduler: address of a Dask scheduler, to compute on its workers instead of here.
-      progress: called with the number of runs that have just been written.
+      scheduler: address of a Dask scheduler, to compute on its workers.
+      progress: called with the number of runs that have been written.
 
     Raises:
-      InputError: no such scheduler; workers with other versions; another sweep at work in the folder.
+      InputError: no such scheduler; workers with other versions; another sweep in the same folder.
     """
-    with dataset.alone():
-        _sweep(design, dataset, jobs, chunk, scheduler, progress)
+    with dataset.locked():
+        chunks = dataset.missing(chunk or chunk_size(design, jobs))
+        if scheduler is None:
+            done = on_threads(design, chunks, jobs)
+        else:
+            from .cluster import on_cluster
 
-
-def _sweep(
-    design: Design,
-    dataset: Dataset,
-    jobs: int,
-    chunk: int | None,
-    scheduler: str | None,
-    progress: Callable[[int], None],
-) -> None:
-    chunks = dataset.missing(chunk or chunk_size(design, jobs))
-    if scheduler is None:
-        done = on_threads(design, chunks, jobs)
-    else:
-        from .cluster import on_cluster
-
-        done = on_cluster(design, chunks, scheduler)
-    ours = json.dumps(versions(), sort_keys=True).encode()
-    try:
-        for one, table in done:
-            theirs = (table.schema.metadata or {}).get(b"versions")
-            if theirs != ours:
-                raise InputError(
-                    f"{scheduler}: expected workers with {ours.decode()}, got one with {(theirs or b'none').decode()}"
-                )
-            dataset.write(one, table)
-            progress(one.end - one.begin)
-    finally:
-        done.close()
+            done = on_cluster(design, chunks, scheduler)
+        ours = json.dumps(versions(), sort_keys=True).encode()
+        try:
+            for one, table in done:
+                theirs = (table.schema.metadata or {}).get(b"versions")
+                if theirs != ours:
+                    raise InputError(
+                        f"{scheduler}: expected workers with {ours.decode()}, got one with {(theirs or b'none').decode()}"
+                    )
+                dataset.write(one, table)
+                progress(one.end - one.begin)
+        finally:
+            done.close()

@@ -51,7 +51,7 @@ def test_terminal_page_and_json_have_the_same_numbers(flexspline, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--filter", "rts_smoother"), "looks at nothing later"),
+        (("--filter", "rts_smoother"), "expected a causal estimator"),
         (("--set", "feedback=RAREKF"), "feedback"),
         (("--tolerance", "1", "--tolerance", "1"), "--tolerance"),
         (("--set", "duration=6"), "duration"),

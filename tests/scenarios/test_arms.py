@@ -141,7 +141,7 @@ ARM = {
     [
         ("arm.1.name", "a", ["arm.1.name", "'a' again"]),
         ("arm.1.name", "a-b", ["name"]),
-        ("arm.0.duration", 4.0, ["arm.0.duration", "beside `arm`"]),
+        ("arm.0.duration", 4.0, ["arm.0.duration", "next to `arm`"]),
         ("arm.0.locked_rotor", True, ["locked_rotor"]),
         ("arm.0.disturbances", [{"kind": "push", "start": 1, "duration": 1, "torque": 1, "lever": 0.4}], ["lever", "0.4"]),
         ("arm.0.length", 0.0, ["length"]),
@@ -164,7 +164,7 @@ def test_what_is_wrong_with_an_arm_is_one_line(tmp_path, flexspline, key, value,
 def test_commands_of_one_joint_say_so(flexspline):
     with pytest.raises(InputError, match="flexspline run"):
         load_scenario("two_joints")
-    with pytest.raises(InputError, match="got that of a joint alone"):
+    with pytest.raises(InputError, match="got that of a single joint"):
         load_arm("no_load")
     assert isinstance(load_any("two_joints")[0], ArmScenario)
     code, _, error = flexspline("bound", "two_joints")
@@ -202,7 +202,8 @@ def test_a_push_on_a_turned_axis_is_refused():
     for pushed in (1, 0):
         changes = {"arm__0__turn": 0.5} if pushed == 0 else {"arm__1__turn": 0.5}
         with pytest.raises(
-            InputError, match=rf"arm\.{pushed}\.disturbances: expected none on a joint whose axis is turned"
+            InputError,
+            match=rf"arm\.{pushed}\.disturbances: expected none on a joint whose axis, or one before it, is turned",
         ):
             fs.simulate_arm("two_joints", **{**SHORT, **changes, f"arm__{pushed}__disturbances": push})
     below = fs.simulate_arm("two_joints", **SHORT, arm__1__turn=0.5, arm__0__disturbances=push)

@@ -19,8 +19,8 @@ _NARROWEST = 500  # px: of a headless browser's window; a frame is narrower
 
 def look(page: str, script: str, width: int, folder: Path) -> Any:
     """Run the body of a function in a page and give what it returns; no console errors may be there."""
-    told = f"<script>document.title = JSON.stringify((() => {{ {script} }})())</script>"
-    whole = page.replace("<details", "<details open").replace("</body>", f"{told}</body>")
+    script_tag = f"<script>document.title = JSON.stringify((() => {{ {script} }})())</script>"
+    whole = page.replace("<details", "<details open").replace("</body>", f"{script_tag}</body>")
     path = folder / "page.html"
     path.write_text(whole, encoding="utf-8")
     if width < _NARROWEST:

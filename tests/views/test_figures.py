@@ -112,7 +112,7 @@ def test_nothing_loads_matplotlib_before_a_figure_is_drawn():
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0
 
 
-def test_response_is_told_after_the_truth(pushed):
+def test_response_is_relative_to_the_truth(pushed):
     text = caption(zoom.push_zoom(pushed))
     late = pushed.metrics["filters"]["EKF"]["response_ms"]
     assert f"EKF {late:.1f} ms" in text and "after the truth" in text

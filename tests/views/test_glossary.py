@@ -28,7 +28,7 @@ def test_orders_of_the_kinematic_error():
 def test_symbols_in_a_text_and_nothing_else():
     text = causes.get("stiffness").description
     assert "".join(piece for piece, _ in pieces(text)) == text
-    assert [piece for piece, told in pieces(text) if told] == ["K1", "K2", "K3"]
-    assert [piece for piece, told in pieces("a cable pulls: −k (θl − θ0), |Tf|/N") if told] == ["θl", "Tf"]
-    assert [piece for piece, told in pieces("at the end: A1.9802′, φ2.") if told] == ["A1.9802′", "φ2"]
+    assert [piece for piece, words in pieces(text) if words] == ["K1", "K2", "K3"]
+    assert [piece for piece, words in pieces("a cable pulls: −k (θl − θ0), |Tf|/N") if words] == ["θl", "Tf"]
+    assert [piece for piece, words in pieces("at the end: A1.9802′, φ2.") if words] == ["A1.9802′", "φ2"]
     assert pieces("A link, N times") == [("A link, N times", "")]

@@ -336,7 +336,7 @@ def test_a_comparison_names_the_closest_and_what_to_type(run_page, pushed, bare)
         for measures in run.metrics["filters"].values():
             assert f"{measures['rms']:.3f}" in text
     assert "flexspline view 'runs/external push'" in text
-    assert "exactly as it is simulated" in text
+    assert "know the simulated joint exactly:" in text
 
 
 def headline(runs: list[tuple[Run, Path]], arm: Path | None = None) -> str:
@@ -356,11 +356,11 @@ def test_estimators_are_ranked_where_all_are_present(pushed, bare):
     assert f"in {pushed.name}: the other scenarios lack" in headline(both)
     other = next(name for name in pushed.estimates if name != best)
     apart = replace(pushed, estimates={other: pushed.estimates[other]})
-    told = headline([(apart, Path("arm/shoulder")), (alone, Path("arm/elbow"))], Path("arm"))
+    text = headline([(apart, Path("arm/shoulder")), (alone, Path("arm/elbow"))], Path("arm"))
     assert (
-        f"None of these joints has all estimators; closest to the true joint torque is in shoulder {other} with" in told
+        f"None of these joints has all estimators. Closest to the true joint torque is in shoulder {other} with" in text
     )
-    assert f"in elbow {best} with" in told
+    assert f"in elbow {best} with" in text
     nothing = replace(alone.estimates[best], mean=np.full(len(bare.time), np.nan))
     diverged = replace(bare, estimates={**bare.estimates, "never": nothing})
     assert "lack" not in headline([(pushed, Path("a/x")), (diverged, Path("a/y"))])
@@ -377,11 +377,13 @@ def otherwise(tmp_path: Path, **changes) -> Path:
     return path
 
 
-def told_of(run: Run) -> str:
-    return re.search(r"The estimators are told [^.]*\.", text_of(runs_html([(run, Path("runs/a"))]))).group()
+def knowledge_of(run: Run) -> str:
+    return re.search(
+        r"The estimators (?:know|do not know) [^.]*\.", text_of(runs_html([(run, Path("runs/a"))]))
+    ).group()
 
 
-def test_estimators_that_are_told_another_joint_are_not_said_to_know_it(bare, tmp_path):
+def test_estimators_with_another_joint_do_not_know_the_simulated_one(bare, tmp_path):
     """Where only a number differs that is none of `numbers`: kinematic error, a zero, a link's scale, a sensor's noise."""
     joint = load_joint("test-joint")
     encoder = joint.sensors.link_encoder
@@ -394,11 +396,11 @@ def test_estimators_that_are_told_another_joint_are_not_said_to_know_it(bare, tm
         {"link_tolerances": {**joint.link_tolerances, "inertia": heavier}},
     ):  # fmt: skip
         known = load_joint(otherwise(tmp_path, **changes))
-        assert told_of(replace(bare, known_joint=known)) == (
-            "The estimators are told another joint than the one that is simulated."
+        assert knowledge_of(replace(bare, known_joint=known)) == (
+            "The estimators do not know the simulated joint exactly."
         ), changes
     renamed = load_joint(otherwise(tmp_path, description="the same by another name"))
-    assert "exactly as it is simulated" in told_of(replace(bare, known_joint=renamed))
+    assert "know the simulated joint exactly:" in knowledge_of(replace(bare, known_joint=renamed))
 
 
 def test_a_page_names_the_runs_whose_estimators_know_the_joint(flexspline, tmp_path):
@@ -408,10 +410,8 @@ def test_a_page_names_the_runs_whose_estimators_know_the_joint(flexspline, tmp_p
     assert flexspline("run", "link_sweep", "--set", f"known_joint={known}", *short)[0] == 0
     code, _, err = flexspline("report", tmp_path / "runs", "--out", tmp_path / "page.html")
     assert code == 0, err
-    assert (
-        "The estimators are told the joint exactly as it is simulated in no_load (on a real joint, expect more error), and "
-        "another joint than the one that is simulated in link_sweep."
-    ) in text_of((tmp_path / "page.html").read_text(encoding="utf-8"))
+    expected = "exactly in no_load (expect larger errors on a real joint), but not in link_sweep."
+    assert expected in text_of((tmp_path / "page.html").read_text(encoding="utf-8"))
 
 
 def test_a_filter_has_one_colour_on_all_pages():
@@ -422,7 +422,7 @@ def test_a_filter_has_one_colour_on_all_pages():
 def test_a_study_says_who_is_better_where(sweep_page):
     text = text_of(sweep_page)
     assert "EKF has the lowest RMS error in 2 of 4 combinations" in text
-    assert "EKF against RAREKF: lower in 2, higher in 2, no telling in 0" in text
+    assert "EKF against RAREKF: lower in 2, higher in 2, undecided in 0" in text
     assert "flexspline sweep levels --seeds 18 --out sweeps/s" in text
     assert "abcdef012345" in text and "Noise <1>" in text
     assert sweep_page.count('<svg class="chart"') == 2
@@ -460,7 +460,7 @@ def test_a_summary_with_empty_cells_has_no_mean_there(tmp_path):
 def test_a_repair_says_what_is_gone_what_stays_and_what_moved(repair_page):
     text = text_of(repair_page)
     assert (
-        "Backlash is gone, mesh friction is still there, mesh friction has changed and 1 number of the joint moved."
+        "Backlash is gone, mesh friction is still present, mesh friction has changed and 1 number of the joint moved."
         in text
     )
     assert "the later measurement could not have shown it" in text
@@ -481,16 +481,16 @@ def compared(tmp_path: Path, before: list, after: list) -> str:
     return text_of(two_html(*(read_diagnosis(folder) for folder in folders)))
 
 
-def test_causes_of_one_name_are_told_apart_by_their_orders(tmp_path):
+def test_causes_of_one_name_differ_by_their_orders(tmp_path):
     text = compared(tmp_path, [ripple(2, 5e-3, 0.1), ripple(6, 2e-3, 0.4)], [ripple(2, 5e-3, 0.1)])
-    assert "Cogging of order 6 is gone, cogging of order 2 is still there and no number of the joint moved." in text, (
-        text
-    )
-    assert "cogging of order 6 (motor) was there before" in text and "order 6, then 2" not in text
+    assert (
+        "Cogging of order 6 is gone, cogging of order 2 is still present and no number of the joint moved." in text
+    ), text
+    assert "cogging of order 6 (motor) was present before" in text and "order 6, then 2" not in text
     assert "cogging of order 2 98 %, cogging of order 6 98 %." in text
 
 
-def test_unknown_effects_are_told_apart_by_what_they_depend_on(tmp_path):
+def test_unknown_effects_differ_by_what_they_depend_on(tmp_path):
     def unknown(*variables: str) -> dict:
         return {**named("unknown", "transmission"), "depends_on": list(variables)}
 
@@ -503,7 +503,7 @@ def test_unknown_effects_are_told_apart_by_what_they_depend_on(tmp_path):
 
 def test_a_phase_goes_the_short_way_round(tmp_path):
     text = compared(tmp_path, [ripple(2, 5e-3, 3.13)], [ripple(2, 5e-3, -3.14)])
-    assert "Cogging of order 2 is still there and no number of the joint moved." in text, text
+    assert "Cogging of order 2 is still present and no number of the joint moved." in text, text
     text = compared(tmp_path / "more", [ripple(2, 5e-3, 3.13)], [ripple(2, 5e-3, -3.0)])
     assert "cogging of order 2 has changed" in text
 
@@ -569,7 +569,7 @@ def test_two_joints_are_no_repair(repair, tmp_path):
     with pytest.raises(InputError, match="expected a diagnosis of test-joint"):
         two_html(read_diagnosis(repair[0]), read_diagnosis(other))
     (other / "diagnosis.json").write_text("[]")
-    with pytest.raises(InputError, match="expected what flexspline diagnose writes"):
+    with pytest.raises(InputError, match="expected the output of flexspline diagnose"):
         read_diagnosis(other)
 
 
@@ -604,7 +604,7 @@ const svg = document.querySelector("svg.chart"), box = svg.getBoundingClientRect
 const at = (share, kind) => svg.dispatchEvent(new PointerEvent(kind, {
   clientX: box.left + share * box.width, clientY: box.top + box.height / 2, pointerType: "mouse", button: 0, bubbles: true}));
 at(0.5, "pointermove");
-const told = document.querySelector(".tip").textContent;
+const text = document.querySelector(".tip").textContent;
 at(0.4, "pointerdown"); at(0.6, "pointermove"); at(0.6, "pointerup");
 const near = plot.getAttribute("viewBox"), made = svg.querySelectorAll(".tick.made").length;
 const others = [...document.querySelectorAll("section")][0].querySelectorAll(".plot[viewBox]").length;
@@ -614,14 +614,14 @@ const entry = document.querySelector(".legend span"), kind = entry.querySelector
 entry.click();
 const off = plot.querySelectorAll(`.${kind}.off`).length;
 entry.dispatchEvent(new KeyboardEvent("keydown", {key: "Enter"}));
-return {told, near, made, others, far, left, off, on: plot.querySelectorAll(".off").length};
+return {text, near, made, others, far, left, off, on: plot.querySelectorAll(".off").length};
 """
 
 
 @pytest.mark.slow
 def test_charts_tell_zoom_and_hide(run_page, tmp_path):
     found = look(run_page, ANSWERS, 1400, tmp_path)
-    assert re.search(r"\d", found["told"]) and "true:" in found["told"] and "RAREKF:" in found["told"]
+    assert re.search(r"\d", found["text"]) and "true:" in found["text"] and "RAREKF:" in found["text"]
     left, _, width, _ = map(float, found["near"].split())
     assert 0 < left and 50 < width < 200 and found["made"] >= 4 and found["others"] == 5
     assert found["far"].startswith("0 0 ") and found["left"] == 0
@@ -727,10 +727,15 @@ def validated(folder: Path, off: float = 0.0, mistakes: tuple[str | dict, ...] =
     "off, mistakes, sentence, commands",
     [
         (0.0, (), "holds: at least 100 % of every channel lies in its 95 % band.", ["estimate"]),
-        (0.08, (), "all the same motor current is off by more than noise", ["estimate", "diagnose"]),
+        (0.08, (), "but motor current is off by more than noise", ["estimate", "diagnose"]),
         (0.5, (), "does not predict motor current: motor current is off by 0.36 A RMS", ["diagnose", "plan"]),
-        (0.5, ("mA taken for A",), "The data hold a mistake, so that they say nothing of test-joint: mA", ["check"]),
-        (0.5, (UNSURE,), "No change makes the channels fit test-joint, so that it may be another joint", ["check"]),
+        (
+            0.5,
+            ("mA taken for A",),
+            "The data have a mistake, so that they show nothing about test-joint: mA",
+            ["check"],
+        ),
+        (0.5, (UNSURE,), "No correction makes the channels fit test-joint: it may be another joint", ["check"]),
         (0.0, (MINOR,), "The description of test-joint holds", ["estimate"]),
     ],
 )
@@ -741,7 +746,7 @@ def test_a_validation_says_whether_the_description_holds(off, mistakes, sentence
     assert sentence in text and all(f"{head} " in text for head in HEAD)
     assert re.findall(r"flexspline (\w+) 'bench log' --joint test-joint", text) == commands
     assert all(f"{m['column']}: {m['description']}" in text for m in mistakes if isinstance(m, dict))
-    assert "25 %" in text and "link angle" in text, "what is beyond the range is told"
+    assert "25 %" in text and "link angle" in text, "the range of validity"
     assert ("Largest at moving forward" in text) == (off > 0)
     assert "moving forward *" in text and "moving backward *" not in text
 
@@ -783,7 +788,7 @@ def test_a_damaged_validation_is_refused_in_one_line(flexspline, tmp_path):
 
 
 @pytest.mark.parametrize("recordings", ["[]", '["sweep <1>"]'])
-def test_a_channel_that_no_table_has_is_told_without_a_chart(recordings, flexspline, tmp_path):
+def test_a_channel_without_table_is_reported_without_chart(recordings, flexspline, tmp_path):
     path = validated(tmp_path / "v") / "validation.json"
     answer = path.read_text(encoding="utf-8").replace('["sweep <1>"]', recordings)
     path.write_text(answer.replace('"motor_current": {', '"joint_torque": {'), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""An envelope keeps ends, peaks, gaps and what it is told to; a moving share is one to its ends."""
+"""An envelope keeps ends, peaks, gaps and given samples; a moving share is defined up to the ends."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from flexspline.views.series import envelope, extremes, share
 
 
-def test_an_envelope_keeps_ends_peaks_and_what_it_is_told_to(rng):
+def test_an_envelope_keeps_ends_peaks_and_given_samples(rng):
     values = rng.normal(size=50_003)
     values[31_234] = 50.0
     values[7] = -50.0

@@ -1,8 +1,8 @@
-"""Figures of a run: the paper's, ours beside what it states, and general ones.
+"""Figures of a run: those of the paper, and general ones.
 
-The paper prints Figs. 3, 5, 7, 8 and 9 without their data, so every caption gives what its text states and what this
-run measured. Errors are against the plant's noise-free joint torque unless a label says otherwise. matplotlib is loaded
-when the first figure is drawn, and keeps its own settings.
+The paper prints Figs. 3, 5, 7, 8 and 9 without their data, so that captions state the paper's text and the results of this run.
+Errors are relative to the plant's noise-free joint torque unless a label says otherwise. matplotlib is loaded with the first
+figure, and its settings are not changed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def figures_of(run: Run) -> dict[str, Figure]:
-    """The figures that fit a run, by file name: those of the paper that its scenario names, and the general ones."""
+    """Return the figures of a run by file name: those of the paper that its scenario names, and general ones."""
     return {name: make(run) for name, make in _chosen(run).items()}
 
 
@@ -49,5 +49,5 @@ def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
     chosen = dict(of_paper[number] for number in re.findall(r"\d+", run.scenario.figure) if number in of_paper)
     if "fig9_zoom" in chosen and not zoom.zoomed(run):
         del chosen["fig9_zoom"]
-    thoughts = {"filters": filters.filters} if innovations(run) else {}
-    return chosen | {"overview": overview.overview, **thoughts, "error": error.error}
+    more = {"filters": filters.filters} if innovations(run) else {}
+    return chosen | {"overview": overview.overview, **more, "error": error.error}

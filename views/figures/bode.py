@@ -1,4 +1,4 @@
-"""A frequency response: magnitude, phase and coherence over frequency."""
+"""Frequency response: magnitude, phase and coherence."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 @styled
 def bode_figure(found: Response, title: str) -> Figure:
-    """Draw a response, measured and simulated; thin where current and velocity are not coherent."""
+    """Draw a response, measured and simulated, with thin lines where current and velocity are not coherent."""
     peaks, dips = found.resonances()
     caption = (
-        "From motor current to motor velocity. Measured, and what the joint's laws ask for on the same motion. "
+        "From motor current to motor velocity, measured, and simulated on the same motion. "
         f"Peaks at {_list(peaks)}, dips at {_list(dips)}, where the coherence is above 0.5."
     )
     figure, rows = sheet(title, caption, [2.2, 1.5, 0.9], columns=1, shared=(0,))

@@ -1,4 +1,4 @@
-"""Error of every filter against the truth, and how it is distributed."""
+"""Error of every filter, and its distribution."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @ruled
 def error(run: Run) -> Figure:
-    """Error of every filter against the truth, and how it is distributed."""
+    """Error of every filter, and its distribution."""
     names = list(run.estimates)
     colors = filter_colors(names)
     truth, kept = run.truth("joint_torque"), settled(run)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 PAPER_LIMIT = 0.1
-"""What the paper states for the difference between estimate and sensor without load [N·m]."""
+"""The paper's limit of the difference between estimate and sensor without load [N·m]."""
 
 
 @ruled
@@ -62,8 +62,8 @@ def link_sweep(run: Run) -> Figure:
     quarters = np.array_split(np.flatnonzero(settled(run)), 4)
     robust = [robust_share(run, name, part) for part in quarters]
     caption = (
-        "Paper: RAREKF is in optimal mode at first and goes gradually to robust mode as the load grows; the difference "
-        "is relatively high while it switches, acceptable overall; no numbers. "
+        "Paper: RAREKF starts in optimal mode and changes gradually to robust mode with growing load; the difference is "
+        "relatively high while it switches, acceptable overall; no numbers. "
         f"Ours: {name} {against(run, name)}; in robust mode {', '.join(f'{r:.0f}' for r in robust)} % of the time in "
         f"the four quarters of the run, while the torque goes to {run.truth('joint_torque')[-1]:.1f} N·m"
     )
@@ -77,8 +77,7 @@ def external_push(run: Run) -> Figure:
     """Fig. 8: the sweep with pushes in both directions."""
     name, _ = main(run)
     caption = (
-        "Paper: external torque by hand in both directions on the link sweep, to see the response to sudden changes; "
-        "no numbers. "
+        "Paper: manual pushes in both directions during the link sweep, to show the response to sudden changes; no numbers. "
         f"Ours: {name} {against(run, name)}" + response(run) + ". Shaded: the pushes; framed: those of Fig. 9."
     )
     return _sweep(run, "Fig. 8  Link with external pushes", caption)

@@ -1,4 +1,4 @@
-"""What the filters thought: innovation with ±√P_Y, normalised innovation squared, working mode."""
+"""Innovations of the filters with ±√P_Y, normalised innovation squared, working mode."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DARK = "#30353B"
 
 @ruled
 def filters(run: Run) -> Figure:
-    """What the filters thought: innovation with ±√P_Y, normalised innovation squared, working mode."""
+    """Innovations of the filters with ±√P_Y, normalised innovation squared, working mode."""
     found = innovations(run)
     colors = filter_colors(run.estimates)
     kept = settled(run)

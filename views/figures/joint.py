@@ -1,4 +1,4 @@
-"""A joint by its description: stiffness, hysteresis, friction, resonances, resolution, what a diagnosis could see."""
+"""Properties of a joint: stiffness, hysteresis, friction, resonances, resolution, detectable causes."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def joint_figure(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[s
     """Draw a joint.
 
     Args:
-      joint: the description; c: what it comes to (`models.characteristics`).
-      seen: causes by what a diagnosis could make of them, a heading each.
+      joint: the description; c: its characteristics (`models.characteristics`).
+      seen: causes by the channels that a diagnosis needs to detect them.
 
     Returns:
-      A figure: bands are one standard deviation of what the description leaves open.
+      A figure with bands of one standard deviation of the tolerances.
     """
     rated = joint.numbers["rated_torque"].value
     caption = (
@@ -50,7 +50,7 @@ def joint_figure(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[s
     _resolution(stiffness, c)
     for axes in (text, empty):
         axes.set_axis_off()
-    text.set_title("What a diagnosis could see")
+    text.set_title("Causes that a diagnosis can detect")
     text.text(0, 0.98, "\n".join(lines), va="top", fontsize=8.2, transform=text.transAxes, linespacing=1.35)
     return figure
 
@@ -69,7 +69,7 @@ def _stiffness(axes: Axes, c: Characteristics, rated: float) -> None:
 
 
 def _resolution(axes: Axes, c: Characteristics) -> None:
-    """What a count of each encoder is worth, in words beside the curve."""
+    """Write the torque resolution of the encoders next to the curve."""
     begin = float(c.stiffness[0])
     words = [
         f"a count: motor {c.counts[0] * begin:.2g} N·m",

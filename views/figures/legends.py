@@ -1,4 +1,4 @@
-"""A legend in one row above a panel on the right, where it covers nothing; the panel's title stands on the left."""
+"""A legend in one row above the right end of a panel; the panel's title is on the left."""
 
 from __future__ import annotations
 
@@ -13,14 +13,11 @@ from matplotlib.lines import Line2D
 from .sheet import STYLE
 
 _SAMPLE, _PAD, _BETWEEN, _ABOVE = 0.2, 0.07, 0.17, 0.09  # in: of a line, to its text, to the next, above the panel
-_PATCH = 6.0  # pt: width of the line that stands for an area
+_PATCH = 6.0  # pt: line width for an area
 
 
 def legend(axes: Axes, *more: Axes, above: float = _ABOVE) -> None:
-    """Draw the legend of a panel, and of further axes on it: a short line and a text each, in their order; `above` it [in].
-
-    matplotlib's own takes ten times as long to find out where everything goes.
-    """
+    """Draw the legend of a panel and of more axes on it; `above` the panel [in]. matplotlib's legend takes ten times longer."""
     handles, labels = [], []
     for one in (axes, *more):
         found = one.get_legend_handles_labels()
@@ -46,7 +43,7 @@ def legend(axes: Axes, *more: Axes, above: float = _ABOVE) -> None:
 
 @cache
 def _width(text: str, size: float) -> float:
-    """Of a text [in]."""
+    """Width of a text [in]."""
     dpi = 100
     font = FontProperties(family=STYLE["font.family"], size=size)
     return RendererAgg(1, 1, dpi).get_text_width_height_descent(text, font, ismath=False)[0] / dpi

@@ -1,4 +1,4 @@
-"""What happened in a run: position and how well it was followed, current, external torque, joint torque."""
+"""Overview of a run: position, position error, current, external torque, joint torque."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @ruled
 def overview(run: Run) -> Figure:
-    """What happened: position and how well it was followed, current, external torque, joint torque."""
+    """Draw position, position error, current, external torque, joint torque."""
     name, _ = main(run)
     external = bool(np.any(run.external_torque))
     heights = {"position": 1.0, "following": 1.0, "current": 0.9, "external": 0.75, "torque": 1.7}

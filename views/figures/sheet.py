@@ -1,6 +1,6 @@
-"""The sheet that figures are drawn on: one style, panels at fixed places, title above and caption below, PNG.
+"""The layout of figures: one style, panels at fixed positions, title above and caption below, PNG.
 
-Margins are fixed lengths, so that nothing needs to be drawn twice to find out how large it is.
+Margins are fixed lengths, so that nothing is drawn twice to measure it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
-    "axes.titley": 1.0,  # a fixed place: it is not looked for
+    "axes.titley": 1.0,  # fixed: not computed
     "axes.labelsize": 9.0,
     "axes.grid": True,
     "axes.axisbelow": True,
@@ -52,18 +52,18 @@ WIDTH = 8.6
 LEFT, RIGHT, TOP, GAP, BELOW = 0.82, 0.14, 0.62, 0.34, 0.52
 """Margins [in]: left and right of the panels, above them, between them (a legend's row), and below for an axis label."""
 BETWEEN = 0.78
-"""Distance [in] between two panels beside each other."""
+"""Horizontal distance [in] between two panels."""
 PIXELS = round((WIDTH - LEFT - RIGHT) * _DPI)
 """Columns of pixels of a panel that has the whole width."""
 _CAPTION, _LINE = 8.2, 0.165  # size [pt], height of a line [in]
-_COMPRESSION = 3  # of 9: more takes longer for a few per cent
+_COMPRESSION = 3  # of 9: higher levels are slow and gain little
 
 P = ParamSpec("P")
 F = TypeVar("F", Figure, Figure | None)
 
 
 def styled(make: Callable[P, F]) -> Callable[P, F]:
-    """Draw in this module's style, whatever matplotlib's settings are, and leave them alone."""
+    """Draw in this module's style, without a change of matplotlib's settings."""
 
     @wraps(make)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> F:
@@ -74,12 +74,12 @@ def styled(make: Callable[P, F]) -> Callable[P, F]:
 
 
 def blank(title: str, caption: str, height: float) -> Figure:
-    """A figure without panels.
+    """Return a figure without panels.
 
     Args:
       title: above, on the left.
       caption: below, wrapped.
-      height: of what is to come between the title and the caption [in], measured from the upper edge.
+      height: above the caption [in], from the upper edge.
     """
     lines = textwrap.wrap(" ".join(caption.split()).replace(" -", " −"), 132)
     total = height + _LINE * len(lines) + 0.16
@@ -94,7 +94,7 @@ def blank(title: str, caption: str, height: float) -> Figure:
 def place(
     figure: Figure, left: float, above: float, width: float, height: float, x: Axes | None = None, y: Axes | None = None
 ) -> Axes:
-    """Axes at a place [in] from the figure's left and upper edges; `x`, `y`: whose axes they share."""
+    """Return axes at a position [in] from the figure's left and upper edges; `x`, `y`: axes to share."""
     total = figure.get_figheight()
     at = (left / WIDTH, (total - above - height) / total, width / WIDTH, height / total)
     return figure.add_axes(at, sharex=x, sharey=y)
@@ -108,14 +108,14 @@ def sheet(
     right: float = RIGHT,
     shared: Sequence[int] | None = None,
 ) -> tuple[Figure, list[list[Axes]]]:
-    """A figure with panels below (and beside) each other.
+    """Return a figure with rows of panels.
 
     Args:
       title: above, on the left.
       caption: below, wrapped.
       heights: of the rows of panels [in].
       columns: panels in a row.
-      right: margin on the right [in], where an axis there needs more.
+      right: margin on the right [in], for an axis there.
       shared: rows that share the horizontal axis with the one below them; all but the last by default.
 
     Returns:

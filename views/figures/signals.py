@@ -1,4 +1,4 @@
-"""What figures of a run share: its signals as lines, and what is said of them in captions."""
+"""Signals of a run as lines, and texts for captions."""
 
 from __future__ import annotations
 
@@ -18,27 +18,24 @@ if TYPE_CHECKING:
 
 SHARE_WINDOW = 0.25
 """Window [s] over which the working mode is shown as a share of the time."""
-_DENSE = 8  # samples per column of pixels, from which on a restless line fills what it runs through
-_RESTLESS = 60.0  # ways through its whole range, from which on a line is restless
+_DENSE = 8  # samples per column of pixels above which a noisy line is drawn as a band
+_NOISY = 60.0  # sum of changes relative to the range above which a line is noisy
 
 
 def line(axes: Axes, time: np.ndarray, values: np.ndarray, color: str, label: str | None = None, **style: Any) -> None:
-    """Draw a series, shape (n,), with two points per column of pixels: as a line, or as the band that a noisy one fills.
-
-    A band is drawn as its outline, which takes a fifth of the time.
-    """
+    """Draw a series, shape (n,), as a line with two points per column of pixels; a noisy one as a band, which is faster."""
     i = envelope(values, PIXELS)
     drawn = values[i]
-    if len(values) < _DENSE * PIXELS or np.abs(np.diff(drawn)).sum() < _RESTLESS * np.ptp(drawn):
+    if len(values) < _DENSE * PIXELS or np.abs(np.diff(drawn)).sum() < _NOISY * np.ptp(drawn):
         axes.plot(time[i], drawn, color=color, label=label, **style)
         return
     middle, low, high = extremes(values, PIXELS)
     axes.fill_between(time[middle], low, high, facecolor=color, edgecolor=color, **style)
-    axes.plot([], [], color=color, label=label, **style)  # what the legend shows
+    axes.plot([], [], color=color, label=label, **style)  # for the legend
 
 
 def torques(run: Run, axes: Axes, names: Sequence[str], truth_on_top: bool = False) -> None:
-    """Sensor, truth and estimates: the truth as a broad band below them, or, where noise would cover it, on top."""
+    """Draw sensor, truth and estimates: the truth as a broad band below them, or on top, where noise would hide it."""
     colors = filter_colors(run.estimates)
     line(axes, run.time, run.reading("joint_torque"), SENSOR, "torque sensor", lw=0.7)
     style = {"lw": 1.0, "zorder": 4} if truth_on_top else {"lw": 2.4, "alpha": 0.75}
@@ -49,7 +46,7 @@ def torques(run: Run, axes: Axes, names: Sequence[str], truth_on_top: bool = Fal
 
 
 def mode(run: Run, axes: Axes, names: Sequence[str], fill: str = "") -> None:
-    """Share of the time in robust mode."""
+    """Draw the share of the time in robust mode."""
     colors = filter_colors(run.estimates)
     window = round(SHARE_WINDOW / period(run))
     for name in names:
@@ -62,28 +59,28 @@ def mode(run: Run, axes: Axes, names: Sequence[str], fill: str = "") -> None:
 
 
 def main(run: Run) -> tuple[str, dict[str, str]]:
-    """The filter that a figure of only one shows, and the colours of all."""
+    """Return the main filter, and the colours of all."""
     moding = [name for name, found in run.estimates.items() if found.robust is not None]
     return main_filter(moding or run.estimates), filter_colors(run.estimates)
 
 
 def period(run: Run) -> float:
-    """Of the samples [s]."""
+    """Return the sample period [s]."""
     return float(run.time[1] - run.time[0])
 
 
 def rms(values: np.ndarray) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def peak(values: np.ndarray) -> float:
-    """Largest absolute value."""
+    """Return the largest absolute value."""
     return float(np.abs(values).max())
 
 
 def against(run: Run, name: str) -> str:
-    """`after … s against the truth RMS …, largest … N·m; against the sensor …`."""
+    """Return `after … s against the truth RMS …, largest … N·m; against the sensor …`."""
     found = run.metrics["filters"][name]
     sensor = (run.estimate(name) - run.reading("joint_torque"))[settled(run)]
     return (
@@ -93,7 +90,7 @@ def against(run: Run, name: str) -> str:
 
 
 def response(run: Run) -> str:
-    """How long after the truth each filter has made 90 % of a push, and its noise; empty without pushes."""
+    """Return response times and noise of all filters; empty without pushes."""
     values = {name: (m.get("response_ms"), m.get("noise_ratio")) for name, m in run.metrics.get("filters", {}).items()}
     parts = [
         f"{name} {time:.1f} ms" + (f" (noise {noise:.2f})" if noise is not None else "")

@@ -1,4 +1,4 @@
-"""The paper's Fig. 9: one push in each direction from near, with every filter."""
+"""The paper's Fig. 9: details of one push in each direction, with every filter."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 @ruled
 def push_zoom(run: Run) -> Figure:
-    """Fig. 9: one push in each direction from near, with every filter."""
+    """Fig. 9: details of one push in each direction, with every filter."""
     names = list(run.estimates)
     colors = filter_colors(names)
     pushes = zoomed(run)
     truth = run.truth("joint_torque")
     errors = {name: [peak((run.estimate(name) - truth)[window(run, push)]) for push in pushes] for name in names}
     caption = (
-        "Paper: the details of Fig. 8, where robust mode responds quickly to the load and optimal mode slowly, with "
-        "less noise; no numbers. Ours, largest error within the view: "
+        "Paper: details of Fig. 8; robust mode responds quickly to the load, optimal mode slowly, with less noise; "
+        "no numbers. Ours, largest error within the view: "
         + "; ".join(f"{name} {' and '.join(f'{e:.2f}' for e in values)} N·m" for name, values in errors.items())
         + response(run)
         + ". AREKF and RAREKF coincide while α = 1."
@@ -62,7 +62,7 @@ def push_zoom(run: Run) -> Figure:
 
 
 def zoomed(run: Run) -> list[Disturbance]:
-    """One disturbance in each direction, forward first, to look at from near: the sharpest after the transient."""
+    """Return the shortest disturbance in each direction after the transient, forward first."""
     after = [d for d in run.scenario.happening if d.start >= run.scenario.transient and d.kind in ("push", "step")]
     chosen = []
     for sign in (1, -1):
@@ -73,6 +73,6 @@ def zoomed(run: Run) -> list[Disturbance]:
 
 
 def window(run: Run, push: Disturbance) -> np.ndarray:
-    """The push with some time before it and more after it, shape (n,), bool."""
+    """Return the samples of a push, with some before and more after it, shape (n,), bool."""
     margin = 0.15 + 0.4 * push.duration
     return (run.time >= push.start - 0.5 * margin) & (run.time <= push.start + push.duration + 1.5 * margin)

@@ -1,4 +1,4 @@
-"""Pages: HTML in one file each, made of templates; the code computes what stands in them, the templates say it."""
+"""Pages: HTML in one file each. The code computes the numbers, the templates have the words."""
 
 from .diagnosis import html, write_report
 

@@ -1,4 +1,4 @@
-"""A chart as SVG paths: data in, geometry out. Colours are classes that the page's style sheet knows, light and dark."""
+"""A chart as SVG paths. Colours are classes of the page's style sheet, light and dark."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..series import envelope
 
 @dataclass(frozen=True)
 class Mark:
-    """A path, and what it is: classes of the page's style sheet."""
+    """A path with its classes of the style sheet."""
 
     d: str
     kind: str
@@ -21,7 +21,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Tick:
-    """A place on an axis [px] and its label."""
+    """A position on an axis [px] and its label."""
 
     at: float
     text: str
@@ -29,15 +29,15 @@ class Tick:
 
 @dataclass
 class Chart:
-    """Axes in data units with marks on them, which the template clips to the axes.
+    """Axes in data units with marks, which the template clips to the axes.
 
     Attributes:
       x, y: limits of the data.
-      title, xlabel, ylabel: what is shown, with units.
-      accent: whether the chart is framed as the telling one.
-      labels: places and texts of the ticks below, instead of numbers.
-      width, height: of all [px]; it is scaled to its place on the page.
-      marks: what has been drawn.
+      title, xlabel, ylabel: texts, with units.
+      accent: whether the chart is framed.
+      labels: positions and texts of the ticks below, instead of numbers.
+      width, height: of the whole chart [px]; it is scaled on the page.
+      marks: drawn so far.
     """
 
     x: tuple[float, float]
@@ -70,7 +70,7 @@ class Chart:
         return [Tick(float(self._py(t)), _label(t)) for t in ticks(*self.y, max(self.inner[1] // 24, 3))]
 
     def line(self, x: np.ndarray, y: np.ndarray, kind: str) -> None:
-        """A line through points, shape (k,) each, as an envelope of them; values that are not finite leave gaps."""
+        """Draw a line through points, shape (k,) each, as their envelope; values that are not finite are gaps."""
         x, y = np.asarray(x, float), np.asarray(y, float)
         chosen = envelope(y, self.inner[0])
         pieces, joined = [], False
@@ -81,16 +81,16 @@ class Chart:
         self.marks.append(Mark("".join(pieces), f"line {kind}"))
 
     def dots(self, x: np.ndarray, y: np.ndarray, kind: str) -> None:
-        """Dots at points, shape (k,) each: strokes without length."""
+        """Draw dots at points, shape (k,) each."""
         d = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(self._px(x), self._py(y), strict=True))
         self.marks.append(Mark(d, f"dots {kind}"))
 
     def band(self, low: float, high: float, kind: str) -> None:
-        """A horizontal band over the whole width."""
+        """Draw a horizontal band over the whole width."""
         self.boxes([(self.x[0], self.x[1], low, high)], kind)
 
     def between(self, x: np.ndarray, low: np.ndarray, high: np.ndarray, kind: str) -> None:
-        """A band along a line, shape (k,) each: in every column of pixels from its lowest to its highest; gaps stay."""
+        """Draw a band along a line, shape (k,) each, from lowest to highest value in every column of pixels."""
         edges = np.linspace(*self.x, self.inner[0] // 2 + 1)
         column = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
         bottom, top = np.full(len(edges) - 1, np.inf), np.full(len(edges) - 1, -np.inf)
@@ -101,11 +101,11 @@ class Chart:
         self.boxes([(edges[k], edges[k + 1], bottom[k], top[k]) for k in drawn], kind)
 
     def stripes(self, edges: Sequence[tuple[float, float]], kind: str) -> None:
-        """Vertical stripes over the whole height, from x to x."""
+        """Draw vertical stripes over the whole height, from x to x."""
         self.boxes([(a, b, *self.y) for a, b in edges], kind)
 
     def boxes(self, corners: Sequence[tuple[float, float, float, float]], kind: str) -> None:
-        """Filled boxes, each from x to x and from y to y."""
+        """Draw filled boxes, each from x to x and from y to y."""
         d = []
         for a, b, low, high in corners:
             (left, right), (bottom, top) = self._px([a, b]), self._py([low, high])
@@ -122,7 +122,7 @@ class Chart:
 
 
 def ticks(low: float, high: float, count: int) -> np.ndarray:
-    """Round numbers within limits, about `count` of them."""
+    """Return about `count` round numbers within limits."""
     raw = (high - low) / count
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(s * power for s in (1, 2, 2.5, 5, 10) if s * power >= raw * 0.999)
@@ -134,7 +134,7 @@ def _label(value: float) -> str:
 
 
 def limits(values: np.ndarray, share: float = 0.5, margin: float = 0.08, least: float = 0.0) -> tuple[float, float]:
-    """Limits that hold all but `share` percent of the finite values at either end, and ± `least`."""
+    """Return limits of the finite values without `share` percent at either end, and at least ± `least`."""
     values = values[np.isfinite(values)]
     if not len(values):
         return -1.0, 1.0

@@ -1,4 +1,4 @@
-"""Charts of residuals: measured against simulated over time, and residuals against what they may depend on."""
+"""Charts of residuals over time and over the variables that they may depend on."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .chart import Chart, limits
 if TYPE_CHECKING:
     from ...diagnosis.improvement import Improvement
 
-_DOTS = 600  # samples that stand for a balance's cloud
+_DOTS = 600  # samples in a chart of a balance
 
 
 @dataclass(frozen=True)
 class Group:
-    """Charts that belong together; of a channel, with what stands about it in the template under that name."""
+    """Charts of one channel, with the RMS of its residual before and after, and the noise."""
 
     channel: str
     unit: str
@@ -32,7 +32,7 @@ class Group:
 
 
 def over_time(rows: list[list[Overlay]]) -> list[Group]:
-    """A group per channel: for each recording its values, where there are any, above its residuals."""
+    """Return a group per channel: for each recording its values, if measured, above its residuals."""
     found = []
     for row in rows:
         both = np.concatenate([x for o in row for x in (o.before, o.after)])
@@ -59,7 +59,8 @@ def _overlay(o: Overlay, y: tuple[float, float]) -> list[Chart]:
 
 
 def trace(improvement: Improvement) -> dict[str, Any]:
-    """The main estimator's estimate before and after against the sensor, and its error: of the recording that is loaded most."""
+    """Return charts of the main estimator's estimate before and after, with its error, for the recording with the largest
+    load."""
     t = max(improvement.traces, key=lambda t: float(np.ptp(t.measured)))
     x = (float(t.time[0]), float(t.time[-1]))
     values = Chart(x, limits(t.measured, 0.05), plain(improvement.quantity), ylabel="N·m", width=660, height=170)
@@ -85,7 +86,7 @@ def main_variable(found: list[ResidualSeries]) -> dict[str, Any] | None:
 
 
 def by_variable(found: list[ResidualSeries]) -> list[Group]:
-    """A group per balance: its residual against everything that it may depend on."""
+    """Return a group per balance: its residual over every variable."""
     most = strongest_variable(found)
     groups = []
     for b in found:

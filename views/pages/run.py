@@ -1,4 +1,4 @@
-"""The page of a run, or of several compared: which estimator is closest, how sure that is, what to do now; the signals."""
+"""The page of one or several runs: the closest estimator, its confidence, what to do, and the signals."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
 
 _WIDTH = 540
 _NEAR = 1.25
-"""As much larger an error is no better or worse on a single run, whose noise is drawn once."""
+"""Errors within this ratio are equal, as the noise of a run is drawn once."""
 
 
 def runs_html(runs: Sequence[tuple[Run, Path]], arm: Path | None = None) -> str:
     """Return the page as text: one file without references to others.
 
     Args:
-      runs: with the folders that they were read from, each of another scenario.
-      arm: folder of an arm's run, whose joints `runs` are, from the base to the tip.
+      runs: with their folders, each of another scenario.
+      arm: folder of an arm's run, if `runs` are its joints, from the base to the tip.
     """
     return render("run.html.j2", _context(runs, arm))
 
 
 def line_kinds(names: Sequence[str]) -> dict[str, str]:
-    """Classes of each filter's lines in the style sheet, 32 of them different; the paper's have the same on every page."""
+    """Return the style class of each filter's lines; 32 are different, and the paper's are the same on every page."""
     own = {name: f"s{i}" for i, name in enumerate(FILTERS)}
     spare = itertools.cycle(f"s{i}" for i in range(len(own), 32))
     return own | {name: next(spare) for name in names if name not in own}
@@ -61,7 +61,7 @@ def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, An
         "means": _means(_common(runs, names), names) if len(runs) > 1 else [],
         "common": len(_common(runs, names)),
         "seeds": sorted({run.scenario.seed for run, _ in runs}),
-        "told": _told(scenarios, runs, arm is not None),
+        "knowledge": _knowledge(scenarios, runs, arm is not None),
         "honest": _honest(scenarios, runs),
         "notes": [(s["name"], note) for s, (run, _) in zip(scenarios, runs, strict=True) for note in run.notes],
         "commands": _commands(runs, names) if arm is None else _arm_commands(runs, arm),
@@ -79,14 +79,13 @@ def _error(run: Run, name: str) -> float:
 
 
 def _common(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[Run, Path]]:
-    """The runs in which every estimator that has an error in any of them has one: over others nothing can be compared."""
+    """Runs in which all estimators have an error, if they have one in any run."""
     there = [name for name in names if any(_error(run, name) > 0 for run, _ in runs)]
     return [one for one in runs if there and all(_error(one[0], name) > 0 for name in there)]
 
 
 def _means(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, float]]:
-    """Geometric mean over the scenarios of each estimator's error [N·m], the smallest first; of those that are in all, and are to
-    be trusted in all."""
+    """Geometric mean over the scenarios of each estimator's error [N·m], the smallest first, without untrusted estimators."""
     found = []
     for name in names:
         errors = np.array([_error(run, name) for run, _ in runs])
@@ -98,7 +97,7 @@ def _means(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple
 
 
 def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) -> str:
-    """Which estimator is closest, in a sentence: over the runs that have all of them, or in each."""
+    """The closest estimator in a sentence, over the runs with all estimators, or in each run."""
 
     def name_of(run: Run, folder: Path) -> str:
         return folder.name if of == "joints" else run.name
@@ -109,7 +108,7 @@ def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) ->
         best = [f"in {name} {rank[0][0]} with {number(rank[0][1], 2)} N·m RMS" for name, rank in each if rank]
         if not best:
             return f"No estimator has an error in any of these {of}."
-        return f"None of these {of} has all estimators; closest to the true joint torque is {', '.join(best)}."
+        return f"None of these {of} has all estimators. Closest to the true joint torque is {', '.join(best)}."
     ranked = _means(common, names)
     if not ranked:
         return f"No estimator is to be trusted in all of these {of}."
@@ -128,36 +127,35 @@ def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) ->
     return f"{text}."
 
 
-def _told(scenarios: Sequence[dict[str, Any]], runs: Sequence[tuple[Run, Path]], arm: bool) -> str:
-    """What the estimators know of the joint, and in which of several runs, where they do not know as much in all."""
+def _knowledge(scenarios: Sequence[dict[str, Any]], runs: Sequence[tuple[Run, Path]], arm: bool) -> str:
+    """Whether the estimators know the simulated joint exactly, and in which of several runs."""
     exact: list[str] = []
     other: list[str] = []
     for s, (run, _) in zip(scenarios, runs, strict=True):
         (exact if _known_exactly(run, arm) else other).append(s["name"])
     if not other:
-        return "The estimators are told the joint exactly as it is simulated: on a real joint, expect more error."
+        return "The estimators know the simulated joint exactly: expect larger errors on a real joint."
     if not exact:
-        return "The estimators are told another joint than the one that is simulated."
+        return "The estimators do not know the simulated joint exactly."
     return (
-        f"The estimators are told the joint exactly as it is simulated in {listed(exact)} (on a real joint, expect more error), "
-        f"and another joint than the one that is simulated in {listed(other)}."
+        f"The estimators know the simulated joint exactly in {listed(exact)} (expect larger errors on a real joint), "
+        f"but not in {listed(other)}."
     )
 
 
 def _known_exactly(run: Run, arm: bool) -> bool:
-    """Whether the estimators are told every number of the joint, its load and its sensors as they are simulated; how sure of them
-    they are told to be is none of these."""
-    own, told = (KnownJoint.of(joint, run.scenario.mount(joint)) for joint in (run.joint, run.known_joint))
-    same = np.array_equal(as_floats(own.record), as_floats(told.record)) and own.rated_torque == told.rated_torque
-    # A run in an arm has the link that the others make of it, of which the joint's own mounting is a part.
-    bolted = not arm or run.joint.mountings == run.known_joint.mountings
-    return same and own.noise == told.noise and bolted
+    """Whether the estimators know every number of the simulated joint, its load and its sensors."""
+    true, known = (KnownJoint.of(joint, run.scenario.mount(joint)) for joint in (run.joint, run.known_joint))
+    same = np.array_equal(as_floats(true.record), as_floats(known.record)) and true.rated_torque == known.rated_torque
+    # In an arm, the load includes the other joints; the joint's mounting is a part of it.
+    mounted = not arm or run.joint.mountings == run.known_joint.mountings
+    return same and true.noise == known.noise and mounted
 
 
 def _honest(
     scenarios: Sequence[dict[str, Any]], runs: Sequence[tuple[Run, Path]]
 ) -> dict[str, list[tuple[str, str, float]]]:
-    """Estimators whose own variance is not right: which way, then scenario, name, mean NIS."""
+    """Estimators with a wrong variance, by direction: scenario, name, mean NIS."""
     found: dict[str, list[tuple[str, str, float]]] = {}
     for s, (run, _) in zip(scenarios, runs, strict=True):
         for name, nis in misjudged(run.metrics).items():
@@ -166,7 +164,7 @@ def _honest(
 
 
 def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, str]]:
-    """Command lines to go on with, and what they do."""
+    """Commands to run next, and what they do."""
     folder = runs[0][1]
     place = shlex.quote(folder.as_posix())
     chosen = next((name for name, _ in _means(_common(runs, names), names)), None) or (names or ["RAREKF"])[0]
@@ -176,21 +174,21 @@ def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tu
         break
     scenario, own = f"{place}/scenario.yaml", plugins.options()
     return [
-        (f"flexspline view {place}{own}", "looks at it: the joint in motion, estimates, innovations"),
-        (f"flexspline bound {scenario} --seeds 10{own}", "says with intervals how far each is from what is possible"),
+        (f"flexspline view {place}{own}", "shows the joint in motion, estimates and innovations"),
+        (f"flexspline bound {scenario} --seeds 10{own}", "compares each estimator with the Cramér-Rao bound, with intervals"),
         (f"flexspline tune {scenario} --filter {chosen} --out tuned{own}", f"tunes {chosen} {why}"),
     ]  # fmt: skip
 
 
 def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str, str]]:
-    """Likewise of an arm: with the other joints moving, which its joints' scenarios alone would not do."""
+    """Commands for an arm, in which the other joints move, too."""
     places = [shlex.quote(folder.as_posix()) for _, folder in runs]
     own = shlex.quote((runs[-1][1] / f"{runs[-1][0].name}.yaml").as_posix())
     again, more = shlex.quote((arm / "arm.yaml").as_posix()), plugins.options()
     return [
-        (f"flexspline view {' '.join(places)}", "looks at it: every joint's motion, estimates, innovations"),
-        (f"flexspline run {again} --seed 2 --out again{more}", "moves the same arm with other noise"),
-        (f"flexspline diagnose {own} --out diagnosis{more}", f"diagnoses {runs[-1][1].name} from its own sensors in the arm"),
+        (f"flexspline view {' '.join(places)}", "shows every joint's motion, estimates and innovations"),
+        (f"flexspline run {again} --seed 2 --out again{more}", "runs the same arm with other noise"),
+        (f"flexspline diagnose {own} --out diagnosis{more}", f"diagnoses {runs[-1][1].name} by its sensors in the arm"),
     ]  # fmt: skip
 
 
@@ -229,7 +227,7 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
 
 
 def _span(run: Run) -> str:
-    """From where to where the link goes, and what torque the joint carries."""
+    """Ranges of the link's angle and of the joint torque."""
     angle, torque = np.degrees(run.truth("link_position")), run.truth("joint_torque")
     return (
         f"link {number(round(angle.min()) + 0.0)}° to {number(round(angle.max()) + 0.0)}°, "
@@ -238,7 +236,7 @@ def _span(run: Run) -> str:
 
 
 def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:
-    """Torques above their errors; beside them the motion, and what pushes."""
+    """Charts of torques and errors, and of motion, current and external torque."""
     time, truth = run.time, run.truth("joint_torque")
     settled = time >= run.scenario.transient
     x = (float(time[0]), float(time[-1]))

@@ -1,4 +1,4 @@
-"""The page of a study: which filter is better where, with intervals; a chart per point of the other axes."""
+"""The page of a study: the best filter by scenario and settings, with intervals, and charts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ...scenarios.studies.statistics import Aggregate
     from ...scenarios.studies.study import Study, Value
 
-_SPREAD = 0.3  # of the distance between two points, over which filters stand side by side
+_SPREAD = 0.3  # of the distance between two points: offset of filters
 _SHOWN = 12  # charts at most
 
 
@@ -32,11 +32,10 @@ def sweep_html(
     """Return the page as text: one file without references to others.
 
     Args:
-      study: that was swept.
-      found: its aggregates.
-      versions, digest: of the packages that computed it, and of the study.
+      study: of the sweep. found: its aggregates.
+      versions, digest: of the packages, and of the study.
       folder: of the dataset.
-      source: the study's name or path, as `flexspline sweep` takes it; empty where it is not known.
+      source: name or path of the study for `flexspline sweep`; empty if unknown.
     """
     kinds = line_kinds(study.names)
     metric = study.metrics[0]
@@ -73,7 +72,7 @@ def sweep_html(
 
 
 def _best(study: Study, found: Sequence[Aggregate]) -> list[tuple[str, int]]:
-    """Of how many scenarios and points each filter has the lowest mean of the first metric, the most first."""
+    """Number of scenarios and points at which each filter has the lowest mean of the first metric, the most first."""
     counts = dict.fromkeys(study.names, 0)
     for _, _, of in sweep_rows(found):
         means = {
@@ -85,7 +84,7 @@ def _best(study: Study, found: Sequence[Aggregate]) -> list[tuple[str, int]]:
 
 
 def _against(study: Study, found: Sequence[Aggregate]) -> list[tuple[str, int, int, int]]:
-    """Of every filter but the reference: in how many rows its first metric is surely lower, surely higher, neither."""
+    """For every filter except the reference: number of rows with a surely lower, a surely higher, and an equal first metric."""
     signs: dict[str, list[int]] = {name: [] for name in study.names if name != study.compared_to}
     for _, _, of in sweep_rows(found):
         for name in signs.keys() & of.keys():
@@ -97,7 +96,7 @@ def _verdict(study: Study, found: Sequence[Aggregate]) -> str:
     column, best = metric_column(study.metrics[0]), _best(study, found)
     total = sum(count for _, count in best)
     if not best:
-        return "No filter has any measure."
+        return "No filter has a metric."
     name, count = best[0]
     what = f"the lowest {column.heading}"
     return f"{name} has {what} in {'all' if count == total else f'{count} of'} {total} combinations of scenario and settings."
@@ -114,7 +113,7 @@ def _table(study: Study, found: Sequence[Aggregate], metric: str) -> dict[str, A
 
 
 def _charts(study: Study, found: Sequence[Aggregate], metric: str, kinds: dict[str, str]) -> list[list[Chart]]:
-    """The metric over one axis, a chart for every scenario and point of the others, whiskers its 95 % intervals."""
+    """Charts of the metric over one axis, one for every scenario and point of the other axes, with 95 % intervals."""
     column = metric_column(metric)
     titles = {axis.name: axis.title for axis in study.axes}
     charts = []

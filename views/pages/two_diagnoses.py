@@ -1,4 +1,4 @@
-"""The page of two diagnoses of one joint, before and after: what is gone, what is new, which numbers moved."""
+"""The page of two diagnoses of one joint: causes that are gone or new, and numbers that moved."""
 
 from __future__ import annotations
 
@@ -21,21 +21,17 @@ from .provenance import file_digest
 from .rendering import render
 
 _DELAYS = ("current_delay", "torque_sensor_delay")
-"""Delays of sensors that a diagnosis finds, by the names that it reports."""
+"""Delays of sensors that a diagnosis finds, by their names in its answer."""
 MOVED = 3.0
-"""Standard deviations of a difference from which on a number has moved."""
-
-
-_Identity = tuple[str | float, ...]
-"""Name of a cause, its whole numbers, and what an unknown one depends on."""
+"""A number has moved if it differs by more than so many standard deviations."""
 
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """A diagnosis as its folder holds it.
+    """A diagnosis from its folder.
 
     Attributes:
-      folder: where it lies.
+      folder: of the diagnosis.
       answer: `diagnosis.json`.
       joint: `joint.yaml`, the extended joint.
     """
@@ -45,14 +41,17 @@ class Diagnosed:
     joint: Joint
 
     @property
-    def causes(self) -> dict[_Identity, dict[str, Any]]:
-        """What was named, each with its `title`, by what tells it from others: orders of one cause are causes of their own."""
-        return {_identity(cause): {**cause, "title": _title(cause)} for cause in self.answer["causes"]}
+    def causes(self) -> dict[tuple[str | float, ...], dict[str, Any]]:
+        """Causes with `title`, by name, whole numbers, and variables of an unknown effect."""
+        return {
+            (cause["name"], *_orders(cause).values(), *cause.get("depends_on", ())): {**cause, "title": _title(cause)}
+            for cause in self.answer["causes"]
+        }
 
 
 @dataclass(frozen=True)
 class NumberChange:
-    """A number in both diagnoses: as text, the difference in its own standard deviations, and what that means."""
+    """A number in both diagnoses as text, and the difference in its standard deviations."""
 
     name: str
     unit: str
@@ -63,15 +62,15 @@ class NumberChange:
 
     @property
     def moved(self) -> bool:
-        """Whether chance does not explain it."""
+        """Whether the difference is more than chance."""
         return abs(self.deviations) > MOVED
 
 
 def read_diagnosis(folder: Path) -> Diagnosed:
-    """A diagnosis from its folder.
+    """Read a diagnosis from its folder.
 
     Raises:
-      InputError: a folder without one.
+      InputError: a folder without a diagnosis.
     """
     path = folder / "diagnosis.json"
     answer = read_json(path, "a diagnosis")
@@ -79,12 +78,12 @@ def read_diagnosis(folder: Path) -> Diagnosed:
     try:
         _check(answer)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: expected what flexspline diagnose writes, got something else") from error
+        raise InputError(f"{path}: expected the output of flexspline diagnose, got something else") from error
     return Diagnosed(folder, answer, load_joint(str(folder / "joint.yaml")))
 
 
 def _check(answer: dict[str, Any]) -> None:
-    """Ask for all that the page shows of a diagnosis: an error of Python's where it is not there."""
+    """Raise an error of Python if the page needs something that the answer does not have."""
     parameters = [p for cause in answer["causes"] for p in cause["parameters"].values()]
     delays = [delay for name, delay in answer.get("calibration", {}).items() if name in _DELAYS]
     errors = [*answer["residual"].values(), *(answer.get("estimation") or {}).get("estimators", {}).values()]
@@ -108,27 +107,22 @@ def _check(answer: dict[str, Any]) -> None:
 
 
 def _library(name: str) -> dict[str, causes.CauseParameter]:
-    """Parameters of a cause as the library has it; none of one that it does not have, an unknown effect."""
+    """Parameters of a cause in the library, by name; empty for an unknown cause."""
     return {p.name: p for p in causes.get(name).parameters} if name in causes.names() else {}
 
 
-def _whole(cause: dict[str, Any]) -> dict[str, float]:
-    """A cause's whole numbers by name: its order."""
+def _orders(cause: dict[str, Any]) -> dict[str, float]:
+    """Whole numbers of a cause by name."""
     known = _library(cause["name"])
     return {name: p["value"] for name, p in cause["parameters"].items() if name in known and known[name].integer}
 
 
-def _identity(cause: dict[str, Any]) -> _Identity:
-    return (cause["name"], *_whole(cause).values(), *cause.get("depends_on", ()))
-
-
 def _title(cause: dict[str, Any]) -> str:
     """`cogging of order 2`, `backlash`, `unknown effect of motor position`."""
-    if cause["name"] == "unknown":
-        parts = [plain(variable) for variable in cause.get("depends_on", ())]
-    else:
-        parts = [f"{plain(name)} {value:g}" for name, value in _whole(cause).items()]
-    name = "unknown effect" if cause["name"] == "unknown" else plain(cause["name"])
+    unknown = cause["name"] == "unknown"
+    parts = [f"{plain(name)} {value:g}" for name, value in _orders(cause).items()]
+    parts = [plain(variable) for variable in cause.get("depends_on", ())] if unknown else parts
+    name = "unknown effect" if unknown else plain(cause["name"])
     return f"{name} of {listed(parts)}" if parts else name
 
 
@@ -142,10 +136,6 @@ def two_html(before: Diagnosed, after: Diagnosed) -> str:
         raise InputError(
             f"{after.folder}: expected a diagnosis of {before.joint.name}, as {before.folder}, got one of {after.joint.name}"
         )
-    return render("two_diagnoses.html.j2", _context(before, after))
-
-
-def _context(before: Diagnosed, after: Diagnosed) -> dict[str, Any]:
     earlier, later = before.causes, after.causes
     gone = [cause for key, cause in earlier.items() if key not in later]
     new = [cause for key, cause in later.items() if key not in earlier]
@@ -154,7 +144,7 @@ def _context(before: Diagnosed, after: Diagnosed) -> dict[str, Any]:
     numbers = sorted(numbers, key=lambda change: -abs(change.deviations))
     moved = [change for change in numbers if change.moved]
     place = shlex.quote(after.folder.as_posix())
-    return {
+    context = {
         "joint": before.joint.name,
         "sides": (before, after),
         "sentence": _sentence(gone, new, both, moved),
@@ -172,6 +162,7 @@ def _context(before: Diagnosed, after: Diagnosed) -> dict[str, Any]:
         ],
         "data": [(str(d.folder), file_digest(d.folder / "diagnosis.json")) for d in (before, after)],
     }
+    return render("two_diagnoses.html.j2", context)
 
 
 def _sentence(
@@ -180,71 +171,66 @@ def _sentence(
     both: list[tuple[dict[str, Any], dict[str, Any], list[NumberChange]]],
     moved: list[NumberChange],
 ) -> str:
-    """What changed, in one sentence."""
+    """The changes in one sentence."""
     parts = []
-    for found, what in ((gone, "gone"), (new, "new"), ([cause for cause, _, _ in both], "still there")):
+    for found, what in ((gone, "gone"), (new, "new"), ([cause for cause, _, _ in both], "still present")):
         if found:
             parts.append(f"{listed([cause['title'] for cause in found])} {'is' if len(found) == 1 else 'are'} {what}")
     other = [cause["title"] for cause, _, changes in both if any(change.moved for change in changes)]
     if other:
         parts.append(f"{listed(other)} {'has' if len(other) == 1 else 'have'} changed")
-    count = len(moved)
-    parts.append(
-        f"{count} number{'' if count == 1 else 's'} of the joint moved" if count else "no number of the joint moved"
-    )
+    parts.append(f"{len(moved) or 'no'} number{'s' if len(moved) > 1 else ''} of the joint moved")
     text = listed(parts)
     return f"{text[:1].upper()}{text[1:]}."
 
 
 def _change(
-    name: str, unit: str, told: str, a: tuple[float, float], b: tuple[float, float], period: float = 0.0
+    name: str, unit: str, meaning: str, a: tuple[float, float], b: tuple[float, float], period: float = 0.0
 ) -> NumberChange:
+    """The change from one value and standard deviation to another."""
     spread = math.hypot(a[1], b[1])
     difference = float(short_way(b[0] - a[0], period))
-    deviations = (
-        difference / spread if spread > 0 else (0.0 if difference == 0 else math.copysign(math.inf, difference))
-    )
-    return NumberChange(name, unit, told, with_std(*a, unit), with_std(*b, unit), deviations)
+    certain = 0.0 if difference == 0 else math.copysign(math.inf, difference)
+    deviations = difference / spread if spread > 0 else certain
+    return NumberChange(name, unit, meaning, with_std(*a, unit), with_std(*b, unit), deviations)
 
 
 def _numbers(before: Joint, after: Joint) -> list[NumberChange]:
-    """Numbers of the description that either diagnosis moved, with the standard deviations that their files state."""
+    """Numbers of the description that either diagnosis moved."""
     found, later = [], {slot.name: slot.number for slot in slots(after)}
     for slot in slots(before):
         a, b = slot.number, later.get(slot.name)
-        if b is None or (a.std is None and b.std is None):
-            continue
-        unit = "" if a.unit == "1" else a.unit
-        found.append(_change(slot.name, unit, meaning(slot.name), _known(a), _known(b), slot.period))
+        if b is not None and not (a.std is None and b.std is None):
+            unit = "" if a.unit == "1" else a.unit
+            found.append(_change(slot.name, unit, meaning(slot.name), _known(a), _known(b), slot.period))
     return found
 
 
 def _known(number: Number) -> tuple[float, float]:
-    """Value of a number and how well it is known: what a diagnosis found, or else its tolerance."""
+    """Value and standard deviation of a number, by a diagnosis or else by its tolerance."""
     spread = math.hypot(number.tolerance * abs(number.value), number.deviation)
     return number.value, spread if number.std is None else number.std
 
 
 def _delays(before: Diagnosed, after: Diagnosed) -> list[NumberChange]:
-    """Delays of sensors that either diagnosis found: in a description they have no standard deviation."""
+    """Delays of sensors that either diagnosis found; a description has no standard deviation of them."""
     found = []
-    a, b = (d.answer.get("calibration", {}) for d in (before, after))
+    sides = [d.answer.get("calibration", {}) for d in (before, after)]
     for name in _DELAYS:
-        told = a.get(name) or b.get(name)
-        if told is not None:
-            # One that did not find it knows it as well as it was described.
-            described = {"value": told["nominal"], "std": told["tolerance"]}
-            x, y = (entry.get(name, described) for entry in (a, b))
-            found.append(_change(name, told["unit"], meaning(name), (x["value"], x["std"]), (y["value"], y["std"])))
+        one = sides[0].get(name) or sides[1].get(name)
+        if one is not None:
+            described = {"value": one["nominal"], "std": one["tolerance"]}
+            x, y = (side.get(name, described) for side in sides)
+            found.append(_change(name, one["unit"], meaning(name), (x["value"], x["std"]), (y["value"], y["std"])))
     return found
 
 
 def _parameters(a: dict[str, Any], b: dict[str, Any]) -> list[NumberChange]:
-    """Parameters of one cause in both, but for those that make it that cause."""
+    """Parameters of a cause in both diagnoses, without its orders."""
     found, known = [], _library(a["name"])
     for name, p in a["parameters"].items():
         q = b["parameters"].get(name)
-        if q is not None and name not in _whole(a):
+        if q is not None and name not in _orders(a):
             period = known[name].period if name in known else 0.0
             values = (p["value"], p["std"] or 0.0), (q["value"], q["std"] or 0.0)
             found.append(_change(plain(name), p["unit"], "", *values, period))
@@ -252,26 +238,24 @@ def _parameters(a: dict[str, Any], b: dict[str, Any]) -> list[NumberChange]:
 
 
 def _cell(value: float | None) -> str:
-    """An error for people; it is none where an estimator gave nothing finite."""
     return "–" if value is None else number(value, 3)
 
 
 def _residuals(before: Diagnosed, after: Diagnosed) -> list[tuple[str, str, list[str]]]:
-    """By channel: simulation error before and after extending the joint, in both measurements."""
-    rows = []
-    for name, a in before.answer["residual"].items():
-        b = after.answer["residual"].get(name)
-        if b is not None:
-            cells = [_cell(x[key]) for x in (a, b) for key in ("before", "after", "noise")]
-            rows.append((plain(name), a["unit"], cells))
-    return rows
+    """By channel: simulation error before and after the extension of the joint, in both measurements."""
+    later = after.answer["residual"]
+    return [
+        (plain(name), a["unit"], [_cell(x[key]) for x in (a, later[name]) for key in ("before", "after", "noise")])
+        for name, a in before.answer["residual"].items()
+        if name in later
+    ]
 
 
 def _errors(before: Diagnosed, after: Diagnosed) -> list[tuple[str, list[str]]]:
-    """By estimator: torque error before and after extending the joint [N·m], in both measurements."""
-    found = [(d.answer.get("estimation") or {}).get("estimators", {}) for d in (before, after)]
+    """By estimator: torque error before and after the extension of the joint [N·m], in both measurements."""
+    earlier, later = ((d.answer.get("estimation") or {}).get("estimators", {}) for d in (before, after))
     return [
-        (name, [_cell(x[key]) for x in (a, found[1][name]) for key in ("before", "after")])
-        for name, a in found[0].items()
-        if name in found[1]
+        (name, [_cell(x[key]) for x in (a, later[name]) for key in ("before", "after")])
+        for name, a in earlier.items()
+        if name in later
     ]

@@ -1,4 +1,4 @@
-"""The page of a validation: how well a description predicts a measurement, channel by channel, where it does not, what to do."""
+"""The page of a validation: prediction errors of a description by channel and region, and what to do."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from .rendering import render
 from .residual_charts import Group
 
 HELD = 0.9
-"""Share of the samples in motion inside a 95 % band from which on a description holds for a channel."""
+"""A description holds for a channel if this share of the samples in motion is inside the 95 % band."""
 _CLEARLY = 2.0
-"""Times the sensors' noise from which on an error has a reason that could be found, band or no band."""
+"""An error of more than so many times the sensors' noise has a cause that could be found, also inside the band."""
 _WORSE = 1.3
-"""Times the error over all motion that an error in a region must be, to be told as the place where it is largest."""
+"""A region with more than so many times the error of all motion is reported as the worst."""
 
 
 @dataclass(frozen=True)
 class Validated:
-    """A validation as its folder holds it.
+    """A validation from its folder.
 
     Attributes:
-      folder: where it lies.
+      folder: of the validation.
       answer: `validation.json`.
       tables: columns of each recording by its name, shape (n,) each: `time`, and of every channel `<channel>`,
         `<channel>_simulated`, `<channel>_low`, `<channel>_high`.
@@ -47,10 +47,10 @@ class Validated:
 
 
 def read_validation(folder: Path) -> Validated:
-    """A validation from its folder.
+    """Read a validation from its folder.
 
     Raises:
-      InputError: a folder without one, or whose tables are not those that it names.
+      InputError: a folder without a validation, or with other tables.
     """
     path = folder / "validation.json"
     answer = read_json(path, "a validation")
@@ -66,14 +66,12 @@ def read_validation(folder: Path) -> Validated:
         answer["joint"], dict(answer["beyond"]), [m["description"] for m in answer["mistakes"]]
         names = [str(name) for name in answer["recordings"]]
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path}: expected what flexspline validate writes, got something else") from error
+        raise InputError(f"{path}: expected the output of flexspline validate, got something else") from error
     tables = {name: read_table(folder / f"{name}.parquet")[0] for name in names}
     for name, columns in tables.items():
         wanted = {f"{channel}{end}" for channel in _channels(columns) for end in _ENDS}
         if "time" not in columns or not wanted <= set(columns):
-            raise InputError(
-                f"{folder / name}.parquet: expected the columns that flexspline validate writes, got others"
-            )
+            raise InputError(f"{folder / name}.parquet: expected the columns of flexspline validate, got others")
         time, bad = columns["time"], [c for c in ("time", *sorted(wanted)) if not _are_numbers(columns[c])]
         if bad or len(time) < 2 or not (np.isfinite(time).all() and np.all(np.diff(time) > 0)):
             expected = f"numbers less than {LARGEST:g}" if bad else "times that increase"
@@ -87,12 +85,12 @@ _ENDS = ("", "_simulated", "_low", "_high")
 
 
 def _are_numbers(values: np.ndarray) -> bool:
-    """Whether a column holds numbers such as a recording may, and gaps."""
+    """Whether a column has numbers of plausible size, and gaps."""
     return values.dtype.kind == "f" and bool(np.all(abs(values[np.isfinite(values)]) < LARGEST))
 
 
 def _channels(columns: Mapping[str, np.ndarray]) -> list[str]:
-    """Channels that a table has simulated."""
+    """Simulated channels of a table."""
     return [name.removesuffix("_simulated") for name in columns if name.endswith("_simulated")]
 
 
@@ -126,7 +124,7 @@ def _holds(answer: dict[str, Any]) -> bool:
 
 
 def _severe(answer: dict[str, Any]) -> list[dict[str, Any]]:
-    """Mistakes that make physics meaningless; all, where the file is of a version that does not tell them apart."""
+    """Mistakes that make a comparison meaningless."""
     return [m for m in answer["mistakes"] if m.get("severe", True)]
 
 
@@ -136,26 +134,26 @@ def _mistake(m: dict[str, Any]) -> str:
 
 
 def _verdict(answer: dict[str, Any]) -> str:
-    """Whether the description predicts what was measured, in a sentence."""
+    """Whether the description predicts the measurement, in a sentence."""
     joint, errors = answer["joint"], answer["residual"]
     severe = _severe(answer)
     if severe:
         m = next((m for m in severe if m.get("sure", True)), None)
         if m is not None:
-            return f"The data hold a mistake, so that they say nothing of {joint}: {_mistake(m)}."
+            return f"The data have a mistake, so that they show nothing about {joint}: {_mistake(m)}."
         return (
-            f"No change makes the channels fit {joint}, so that it may be another joint, or something else is wrong with the "
-            f"data; most would mend what looks like a mistake in {_mistake(severe[0])}."
+            f"No correction makes the channels fit {joint}: it may be another joint, or the data are wrong in another way. The "
+            f"best correction is of {_mistake(severe[0])}."
         )
     if not errors:
-        return f"Nothing moves in this measurement that {joint} could be held against."
+        return f"Nothing moves in this measurement, so that it cannot be compared with {joint}."
     out = {name: e for name, e in errors.items() if e["inside"] < HELD}
     if not out:
         least = min(e["inside"] for e in errors.values())
         text = f"The description of {joint} holds: at least {percent(least)} of every channel lies in its 95 % band"
         above = [plain(name) for name in _above_noise(answer)]
         if above:
-            text += f"; all the same {listed(above)} {'is' if len(above) == 1 else 'are'} off by more than noise"
+            text += f"; but {listed(above)} {'is' if len(above) == 1 else 'are'} off by more than noise"
         return f"{text}."
     worst = min(out, key=lambda name: out[name]["inside"])
     e = out[worst]
@@ -166,12 +164,12 @@ def _verdict(answer: dict[str, Any]) -> str:
 
 
 def _above_noise(answer: dict[str, Any]) -> list[str]:
-    """Channels whose error is clearly more than the sensors' noise, though what the description leaves open may be all of it."""
+    """Channels with an error of clearly more than the sensors' noise, which the tolerances may explain."""
     return [name for name, e in answer["residual"].items() if e["rms"] > _CLEARLY * e["noise"]]
 
 
 def _worst(answer: dict[str, Any], channel: str) -> dict[str, Any] | None:
-    """The region in which a channel's error is clearly largest, if any."""
+    """The worst region of a channel, if it is clearly worse than the others."""
     regions = [r for r in answer["regions"] if channel in r["rms"]]
     most = max(regions, key=lambda r: float(r["rms"][channel]), default=None)
     if most is None or most["rms"][channel] < _WORSE * answer["residual"][channel]["rms"]:
@@ -187,7 +185,7 @@ def _where(region: dict[str, Any]) -> str:
 
 
 def _regions(answer: dict[str, Any]) -> list[tuple[str, bool, list[str]]]:
-    """Every region: what it is, whether most of it lies beyond the range of validity, the error of each channel."""
+    """Every region: its name, whether most of it is outside the range of validity, and the error of each channel."""
     return [
         (_where(r), r["beyond"] > 0.5, [number(r["rms"][c], 3) if c in r["rms"] else "–" for c in answer["residual"]])
         for r in answer["regions"]
@@ -195,26 +193,26 @@ def _regions(answer: dict[str, Any]) -> list[tuple[str, bool, list[str]]]:
 
 
 def _commands(found: Validated) -> list[tuple[str, str]]:
-    """Command lines to go on with, and what they do."""
+    """Commands to run next, and what they do."""
     data = shlex.quote(str(found.answer.get("measurement") or "MEASUREMENT"))
     joint = shlex.quote(str(found.answer.get("description") or "JOINT"))
     if _severe(found.answer):
-        return [(f"flexspline check {data} --joint {joint}", "names the mistake and what mends it")]
+        return [(f"flexspline check {data} --joint {joint}", "names the mistake and its correction")]
     estimate = (
         f"flexspline estimate {data} --joint {joint} --out estimates",
         "estimates the joint torque with this description",
     )
     diagnose = (
         f"flexspline diagnose {data} --joint {joint} --out diagnosis",
-        "says what the joint differs in, and writes one that fits",
+        "finds the cause, and writes a joint that fits",
     )
     if not _holds(found.answer):
-        return [diagnose, (f"flexspline plan {data} --joint {joint}", "says what to measure next")]
+        return [diagnose, (f"flexspline plan {data} --joint {joint}", "finds out what to measure next")]
     return [estimate, diagnose] if _above_noise(found.answer) else [estimate]
 
 
 def charts_of(found: Validated) -> list[Group]:
-    """A group per channel: of each recording the values, measured and simulated, above what is left of them."""
+    """Return a group per channel: for each recording the measured and simulated values, above their difference."""
     groups = []
     for channel, error in found.answer["residual"].items():
         of = {name: c for name, c in found.tables.items() if f"{channel}_simulated" in c}
@@ -224,7 +222,7 @@ def charts_of(found: Validated) -> list[Group]:
         half = {name: c[f"{channel}_high"] - c[f"{channel}_simulated"] for name, c in of.items()}
         finite = [np.concatenate([x[np.isfinite(x)] for x in values.values()]) for values in (left, half)]
         off, band = (float(np.percentile(abs(x), 99.5)) if len(x) else 0.0 for x in finite)
-        reach = 1.3 * max(off, min(band, 4 * off))  # of a wide band the middle, in which the difference can be seen
+        reach = 1.3 * max(off, min(band, 4 * off))  # of a wide band, only the middle is shown
         y = (-reach, reach) if reach > 0 else (-1.0, 1.0)
         charts = [_chart(name, c, channel, error, y, left[name], half[name]) for name, c in of.items()]
         groups.append(Group(channel, error["unit"], charts))

@@ -1,4 +1,4 @@
-"""Torques as arrows: around the joint's axis, and pushes as forces at the link's tip."""
+"""Torques as arrows around the joint's axis, and pushes as forces at the link's tip."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def send_arc(
 
     Args:
       torque: shape (f,) [N·m].
-      radius, front: of the arc, and its place on the axis [m].
-      axis: of the joint: positive torque turns about it by the right hand.
+      radius, front: of the arc, and its position on the axis [m].
+      axis: of the joint, right-handed.
       color: `#RRGGBB`.
     """
     up = np.array([0.0, 0.0, 1.0])
@@ -57,7 +57,7 @@ def send_arc(
 def send_push(
     stream: rr.RecordingStream, time: list[rr.TimeColumn], torque: np.ndarray, tips: np.ndarray, axis: np.ndarray
 ) -> None:
-    """Send the external torque as the force at the link's tip that makes it."""
+    """Send the external torque as a force at the link's tip."""
     arm = tips - np.outer(tips @ axis, axis)
     length = np.linalg.norm(arm, axis=1, keepdims=True)
     direction = np.cross(axis, arm) / np.maximum(length, 1e-9)

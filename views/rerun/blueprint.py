@@ -1,4 +1,4 @@
-"""The layout of a run: joint and notes on the left, estimates in the middle, what is behind them on the right."""
+"""The layout of a run: joint and notes on the left, estimates in the middle, innovations and motion on the right."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHARE_WINDOW = 0.25
 
 
 def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
-    """The layout of a run: joint and notes on the left, estimates in the middle, what is behind them on the right.
+    """Return the layout of a run.
 
     Args:
       run: the run.
@@ -39,24 +39,24 @@ def run_panels(
     reach: float,
     limits: tuple[float, float] | None = None,
 ) -> rrb.Container:
-    """The panels of a run.
+    """Return the panels of a run.
 
     Args:
-      names: of its filters. stated: those that state an innovation.
-      pushed: whether there is ever a torque on the link.
+      names: of its filters. stated: filters with innovations.
+      pushed: whether there is an external torque.
       reach: of the link [m].
-      limits: of the panel of errors [N·m]; all of them by default.
+      limits: of the panel of errors [N·m]; by default those of the errors.
     """
     main = main_filter(names)
     joint = joint_view("Joint: torque true (green), estimated, external (pink)", "scene", reach)
-    # The same colours in all panels, so that one legend is enough.
-    surprises = [
+    # All panels have the same colours: one legend is enough.
+    innovation_views = [
         series_view(f"Innovation {name} [N·m]" if name == main else name, f"innovation/{name}", legend=False)
         for name in (main, *(name for name in names if name != main))
         if name in stated
     ]
     behind: list[rrb.View | rrb.Container] = [
-        *([rrb.Tabs(contents=surprises, name="Innovation")] if surprises else []),
+        *([rrb.Tabs(contents=innovation_views, name="Innovation")] if innovation_views else []),
         series_view("Torsion and its parts [mrad]", "torsion"),
         *([series_view("External torque [N·m]", "external_torque", legend=False)] if pushed else []),
         rrb.Tabs(
@@ -75,13 +75,15 @@ def run_panels(
     return rrb.Horizontal(
         rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
         rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
-        rrb.Vertical(contents=behind, row_shares=[*([2] if surprises else []), 2.2, *([1.2] if pushed else []), 1.6]),
+        rrb.Vertical(
+            contents=behind, row_shares=[*([2] if innovation_views else []), 2.2, *([1.2] if pushed else []), 1.6]
+        ),
         column_shares=[1.05, 1.4, 1.25],
     )
 
 
 def joint_view(name: str, origin: str, reach: float) -> rrb.Spatial3DView:
-    """The joint in 3D, seen from the front; `reach` of its link [m]."""
+    """Return a view of the joint in 3D from the front; `reach` of its link [m]."""
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
@@ -96,7 +98,7 @@ def joint_view(name: str, origin: str, reach: float) -> rrb.Spatial3DView:
 
 
 def _error_limits(run: Run, name: str) -> tuple[float, float]:
-    """Of the error panel [N·m]: half as much again as the main filter's largest after the transient."""
+    """Limits of the error panel [N·m]: 1.5 times the main filter's largest error after the transient."""
     settled = run.time >= run.scenario.transient
     limit = 1.5 * float(np.abs((run.estimate(name) - run.truth("joint_torque"))[settled]).max())
     return -limit, limit

@@ -1,4 +1,4 @@
-"""Measured quantities against what a model says they should have been: values above, residuals below, a tab each."""
+"""Measured and simulated quantities: values above, residuals below, a tab each."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ..style import SENSOR, TRUTH
 from .recording import layout, recording, send_series, series_view
 
 BEFORE, AFTER = "#E0533D", TRUTH
-"""A simulation, and one that is better: the colours of the page."""
+"""Colours of the simulation and of the improved one, as on the page."""
 
 
 @dataclass(frozen=True)
 class ModelledChannel:
-    """A measured quantity beside what a model says it should have been.
+    """A measured quantity with its simulation.
 
     Attributes:
-      name: what it is, e.g. `joint torque`.
+      name: such as `joint torque`.
       unit: of values and residual.
       time: shape (n,) [s].
-      measured, simulated: shape (n,); not finite where it is missing.
-      candidates: further simulations by name (causes that were tried), each shape (n,).
-      below: entity path that it stands below, with a slash at its end.
+      measured, simulated: shape (n,); NaN where it is missing.
+      candidates: more simulations by name, shape (n,) each.
+      below: parent entity path, with a slash at its end.
     """
 
     name: str
@@ -45,13 +45,13 @@ class ModelledChannel:
 
 
 def rerun_measurement(path: Path, name: str, channels: Sequence[ModelledChannel], notes: str = "") -> Path:
-    """Write measured channels against simulated ones as a recording: values above, residuals below, a tab each.
+    """Write measured and simulated channels as a recording: values above, residuals below, a tab each.
 
     Args:
       path: of the `.rrd` file.
-      name: how the viewer calls the recording.
-      channels: what to show.
-      notes: Markdown beside the series; none: no such panel.
+      name: of the recording in the viewer.
+      channels: to show.
+      notes: Markdown for a panel of notes, if any.
 
     Returns:
       The path.
@@ -72,7 +72,7 @@ def rerun_measurement(path: Path, name: str, channels: Sequence[ModelledChannel]
 
 
 def channel_panel(channel: ModelledChannel) -> rrb.Container:
-    """The panel of a channel: values above, residuals below."""
+    """Return the panel of a channel: values above, residuals below."""
     return rrb.Vertical(
         series_view(f"{channel.name} [{channel.unit}]", f"{channel.path}/values"),
         series_view(f"measured − simulated [{channel.unit}]", f"{channel.path}/residual"),
@@ -84,7 +84,7 @@ def channel_panel(channel: ModelledChannel) -> rrb.Container:
 def send_channel(stream: rr.RecordingStream, channel: ModelledChannel) -> None:
     """Send a channel's series."""
     simulations = {"simulated": channel.simulated, **(channel.candidates or {})}
-    # What a candidate improves on is red, and the first candidate green, as in the page.
+    # Red without and green with the first candidate, as on the page.
     palette = (BEFORE, AFTER, "#3D8FE0", "#E8A100", "#9A6FCB") if channel.candidates else (TRUTH,)
     colors = dict(zip(simulations, palette * len(simulations), strict=False))
     send_series(stream, f"{channel.path}/values/measured", channel.time, channel.measured, "measured", SENSOR)

@@ -1,4 +1,4 @@
-"""A diagnosis as a recording: a tab a recording of the measurement, its joint in motion, its channels measured and simulated."""
+"""A diagnosis as a recording: a tab per recording of the measurement, with the joint in motion and the channels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def write_rerun_report(report: Report, path: Path) -> Path:
-    """Write a diagnosis as a recording: a tab a recording of the measurement, verdict and tables beside it.
+    """Write a diagnosis as a recording: a tab per recording of the measurement, with verdict and tables.
 
     Raises:
       InputError: the file cannot be written, or an MJCF that cannot be read.
@@ -58,7 +58,7 @@ def _place(name: str) -> str:
 
 
 def _channel(o: Overlay) -> ModelledChannel:
-    """An overlay as a channel: without values where only the residual means something."""
+    """An overlay as a channel, without values if there is only a residual."""
     base = o.measured if o.measured is not None else np.zeros(len(o.time))
     return ModelledChannel(
         plain(o.channel), o.unit, o.time, base, base - o.before, {"extended": base - o.after}, _place(o.name) + "/"
@@ -76,7 +76,7 @@ def _panel(r: Recording, found: Sequence[Overlay], far: float, notes: rrb.View) 
     left = [series_view(f"{c.name}, measured − simulated [{c.unit}]", f"{c.path}/residual") for c in channels]
     torques = "Torque measured (grey), simulated, extended"
     sensed = any(o.channel == "joint_torque" for o in found)
-    joint = joint_view(torques if sensed else "Joint as it was measured", f"{place}/scene", far)
+    joint = joint_view(torques if sensed else "Measured joint", f"{place}/scene", far)
     columns = [rrb.Vertical(joint, notes, row_shares=[1, 1])]
     columns += [rrb.Vertical(contents=panels) for panels in (values, left) if panels]
     return rrb.Horizontal(contents=columns, column_shares=[1.0, 1.2, 1.2][: len(columns)], name=r.name)
@@ -85,12 +85,12 @@ def _panel(r: Recording, found: Sequence[Overlay], far: float, notes: rrb.View) 
 def _send_joint(
     stream: rr.RecordingStream, report: Report, r: Recording, found: Sequence[Overlay], model: mujoco.MjModel
 ) -> None:
-    """The joint as its encoders saw it, and the torques that were measured and simulated."""
+    """Send the joint by its encoders, and measured and simulated torques."""
     time = r.time - r.time[0]
     frames = thin_frames(time)
     at = time[frames]
     ratio = report.joint.numbers["N"].value
-    # An end that was not measured goes with the other one, but for the torsion.
+    # An end without encoder follows the other one, without torsion.
     if "link_position" in r:
         link = r["link_position"][frames]
         motor = r["motor_position"][frames] if "motor_position" in r else ratio * link
@@ -101,7 +101,7 @@ def _send_joint(
         return
     columns = [rr.TimeColumn(TIMELINE, duration=at)]
     bare = r.link.gravity_moment == 0
-    # The wave generator goes with the rotor but for milliradians, which nothing measures.
+    # The wave generator follows the rotor within milliradians, which are not measured.
     send_bodies(stream, f"{_place(r.name)}/scene", columns, np.column_stack([motor, motor, link]), model, bare)
     for o in found:
         if o.channel == "joint_torque" and o.measured is not None:
@@ -115,7 +115,7 @@ def _send_joint(
 
 
 def _sampled(at: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """A curve at other times, shape (f,); nothing where it is missing."""
+    """A curve at other times, shape (f,); zero where it is missing."""
     good = np.isfinite(values)
     if not good.any():
         return np.zeros(len(at))

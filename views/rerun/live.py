@@ -1,4 +1,4 @@
-"""A run while it runs: every stretch is sent as it comes, to a viewer that is open; in the end it is the recording of the run."""
+"""A run while it runs: every stretch is sent to an open viewer; the result is the recording of the run."""
 
 from __future__ import annotations
 
@@ -33,64 +33,60 @@ if TYPE_CHECKING:
 
 
 class LiveRecording:
-    """Where the stretches of a run are shown as they come."""
+    """Shows the stretches of a run in a viewer."""
 
     def __init__(self, stream: rr.RecordingStream, start: Run):
-        """Show what was asked for.
+        """Show the scenario.
 
         Args:
           stream: to a viewer, a file or memory.
-          start: the run before anything has happened.
+          start: the run before its first tick.
         """
         self._stream, self._time = stream, start.time
         self._model = shape(start.joint)
         self._colors = filter_colors(f.name for f in start.scenario.filters)
         self._pushed = bool(np.any(start.external_torque))
-        self._along: dict[str, str] = {}
-        self._doubting: set[str] = set()
+        self._causal: dict[str, str] = {}
+        self._robust_so_far: set[str] = set()
         self._lanes: list[_Lane] = []
         stream.send_recording_name(start.name)
         send_notes(stream, asked(start))
 
     def send(self, stretch: Run) -> None:
         """Show the next stretch."""
-        if not self._along:
+        if not self._causal:
             self._begin(stretch)
         else:
-            self._doubting &= always_robust(stretch, self._doubting, 0)
+            self._robust_so_far &= always_robust(stretch, self._robust_so_far, 0)
         points = max(round(POINTS * len(stretch.time) / len(self._time)), 2)
-        visible = set(self._along) - self._doubting
-        send_run(self._stream, stretch, self._model, self._along, self._pushed, points, visible)
+        visible = set(self._causal) - self._robust_so_far
+        send_run(self._stream, stretch, self._model, self._causal, self._pushed, points, visible)
         for lane in self._lanes:
             lane.send(self._stream, stretch, points)
 
     def _begin(self, stretch: Run) -> None:
-        """Lay out the viewer and know the filters that run along."""
-        self._along = {name: color for name, color in self._colors.items() if name in stretch.estimates}
-        self._doubting = always_robust(stretch, self._along)
+        """Send the layout for the filters of the first stretch."""
+        self._causal = {name: color for name, color in self._colors.items() if name in stretch.estimates}
+        self._robust_so_far = always_robust(stretch, self._causal)
         self._lanes = [
             _Lane(name, color, self._time)
-            for name, color in self._along.items()
+            for name, color in self._causal.items()
             if stretch.estimates[name].robust is not None
         ]
         panels = run_panels(list(self._colors), tuple(innovations(stretch)), self._pushed, reach(self._model))
         self._stream.send_blueprint(layout(panels, float(self._time[-1]), live=True))
 
     def finish(self, run: Run) -> None:
-        """Show what the whole run says: filters that look ahead, measures.
-
-        Args:
-          run: the whole run.
-        """
+        """Show the filters that look ahead and the metrics of the whole run."""
         for lane in self._lanes:
             lane.finish(self._stream)
-        later = {name: color for name, color in self._colors.items() if name not in self._along}
+        later = {name: color for name, color in self._colors.items() if name not in self._causal}
         send_estimates(self._stream, run, later, POINTS)
         send_notes(self._stream, notes(run))
 
 
 class _Lane:
-    """A filter's modes, shown once it is seen to switch after the transient, as `posteriors.switching` says."""
+    """A filter's modes, shown when it first switches after the transient, as in `posteriors.switching`."""
 
     def __init__(self, name: str, color: str, time: np.ndarray):
         self._name, self._color, self._time = name, color, time
@@ -102,7 +98,7 @@ class _Lane:
         self._width = min(window_samples(SHARE_WINDOW, time), len(time))
 
     def send(self, stream: rr.RecordingStream, stretch: Run, points: int) -> None:
-        """Take up a stretch and show as much as is certain: windows that are full."""
+        """Add a stretch and show complete windows."""
         robust = modes(stretch, self._name)
         self._robust[self._known : self._known + len(robust)] = robust
         self._known += len(robust)

@@ -1,4 +1,4 @@
-"""Several runs laid over each other on one timeline: their joints side by side, a colour a run in every panel."""
+"""Several runs on one timeline: a view of each joint, and a colour per run in every panel."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 COLORS = (*FILTERS.values(), *SPARE)
-"""Of the runs, in their order."""
+"""Colours of the runs, in their order."""
 
 
 def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
     """Write runs as one recording.
 
     Args:
-      runs: under the names that the viewer shall call them, each another.
+      runs: with different names for the viewer.
       path: of the `.rrd` file.
 
     Raises:

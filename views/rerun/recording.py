@@ -1,4 +1,4 @@
-"""What any recording is made of: the file, series on one timeline, panels that share its axis, a layout."""
+"""Parts of recordings: the file, series on one timeline, panels with a common time axis, a layout."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..series import envelope
 
 TIMELINE = "time"
 POINTS = 8000
-"""Most points of a series; peaks stay, and pushes keep every sample where that leaves enough for the rest."""
+"""Largest number of points of a series; peaks are kept, and all samples of pushes, if there are few."""
 SHARED_TIME = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
 """The time axis that all panels share."""
 _GLOBAL_VIEW = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
@@ -26,29 +26,29 @@ _LOOKS: WeakKeyDictionary[rr.RecordingStream, dict[str, Hashable]] = WeakKeyDict
 
 
 def is_new(stream: rr.RecordingStream, path: str, looks: Hashable = None) -> bool:
-    """Whether an entity of a stream has not been asked about yet, or had other looks: its static data are sent once only."""
-    told = _LOOKS.setdefault(stream, {})
-    new = path not in told or told[path] != looks
-    told[path] = looks
+    """Whether an entity of a stream is new or has new looks, so that its static data have to be sent."""
+    sent = _LOOKS.setdefault(stream, {})
+    new = path not in sent or sent[path] != looks
+    sent[path] = looks
     return new
 
 
 @contextmanager
 def recording(path: Path, name: str, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """Open a recording that is moved to `path` when the block ends well, and removed when not.
+    """Open a recording, which is moved to `path` at the end of the block, or removed after an error.
 
     Args:
       path: of the `.rrd` file.
-      name: how the viewer calls the recording.
+      name: of the recording in the viewer.
       blueprint: its layout.
 
     Raises:
       InputError: the file cannot be written.
     """
     with write_into_place(Path(path)) as temporary:
-        # The viewer keeps one layout per application: recordings of other content must not share it.
+        # The viewer has one layout per application: different recordings need different ones.
         stream = rr.RecordingStream(f"flexspline {name}")
-        # Written here: Rerun's own writer waits for ever where the disk is full. Series are thin, all of it is some megabytes.
+        # Rerun's own writer never returns on a full disk. A recording has only a few megabytes.
         written = rr.binary_stream(stream)
         stream.send_blueprint(blueprint)
         stream.send_recording_name(name)
@@ -69,18 +69,18 @@ def send_series(
     points: int = POINTS,
     visible: bool = True,
 ) -> None:
-    """Send a time series as an envelope; values that are not finite leave a gap.
+    """Send a time series as an envelope; values that are not finite are gaps.
 
     Args:
       stream: the recording.
       path: entity path.
       time, values: shape (n,); time in s.
-      name: in the legend, with the unit where the view does not say it.
+      name: in the legend, with the unit if the view does not state it.
       color: `#RRGGBB`.
       width: of the line [ui points].
-      keep: samples that stay whatever they are, shape (n,), bool.
-      points: about how many samples stay at most.
-      visible: whether it is shown before one asks for it in the legend.
+      keep: samples to keep in any case, shape (n,), bool.
+      points: largest number of samples, about.
+      visible: whether it is shown at first.
     """
     peaks = rr.components.AggregationPolicy.MinMax
     if is_new(stream, path, (name, color, width, visible)):
@@ -96,13 +96,13 @@ def send_series(
 def series_view(
     name: str, origin: str, legend: bool = True, limits: tuple[float, float] | None = None
 ) -> rrb.TimeSeriesView:
-    """A panel of the time series under `origin`, on the time axis that all panels share.
+    """Return a panel of the time series below `origin`, on the common time axis.
 
     Args:
       name: of the panel, with the unit.
       origin: entity path.
-      legend: whether it has one, in the upper left corner.
-      limits: of the values; all of them by default.
+      legend: whether it has one.
+      limits: of the values; by default automatic.
     """
     return rrb.TimeSeriesView(
         name=name,
@@ -114,9 +114,8 @@ def series_view(
 
 
 def layout(root: rrb.Container, end: float, live: bool = False) -> rrb.Blueprint:
-    """A blueprint with that content, all of the time from 0 to `end` [s] in view, the panels at the sides folded; `live`: the
-    cursor follows what comes in."""
-    # The viewer keeps the range of the shared time axis with a view of this id. Unset, it shows 30 s about the cursor.
+    """Return a blueprint that shows the time from 0 to `end` [s]; `live`: the cursor follows the data."""
+    # The viewer stores the range of the common time axis with a view of this id; without it, it shows 30 s.
     shared = rrb.TimeSeriesView(
         name="shared time axis",
         contents=[],
@@ -139,5 +138,5 @@ def layout(root: rrb.Container, end: float, live: bool = False) -> rrb.Blueprint
 
 
 def rgb(color: str, alpha: int = 255) -> list[int]:
-    """`#RRGGBB` as four bytes."""
+    """Return `#RRGGBB` as four bytes."""
     return [*(int(color[i : i + 2], 16) for i in (1, 3, 5)), alpha]

@@ -1,4 +1,4 @@
-"""A run as a recording: its signals, what the filters thought, and its joint in motion."""
+"""A run as a recording: signals, innovations, and the joint in motion."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 MODE_WINDOW = 0.02
-"""Window [s] of the mode lanes: robust where the filter is for at least half of it."""
+"""Window [s] of the mode lanes: robust if the filter is in robust mode for at least half of it."""
 
 
 def write_rerun(run: Run, path: Path) -> Path:
@@ -62,14 +62,14 @@ def send_run(
     points: int = POINTS,
     visible: Collection[str] | None = None,
 ) -> None:
-    """Send what can be said of a stretch of a run by itself: scene, torques, innovations, torsion, motion.
+    """Send a run or a stretch of it: scene, torques, innovations, torsion, motion.
 
     Args:
       run: a run, or a stretch of one.
       model: the joint's shape.
       colors: of the filters, by name.
-      pushed: whether there is ever a torque on the link.
-      points: about how many samples of a series stay at most.
+      pushed: whether there is an external torque.
+      points: largest number of samples of a series, about.
       visible: of `send_estimates`.
     """
     near = _interesting(run)
@@ -81,7 +81,7 @@ def send_run(
 
 
 def _interesting(run: Run) -> np.ndarray:
-    """Samples around disturbances' edges, which keep every millisecond as far as the points suffice; shape (n,)."""
+    """Samples around disturbances' edges, which are all kept if there are few; shape (n,), bool."""
     edges = [edge for d in run.scenario.happening for edge in (d.start, d.start + d.duration)]
     near = np.zeros(len(run.time), dtype=bool)
     if edges:
@@ -109,14 +109,14 @@ def send_estimates(
     Args:
       run: a run, or a stretch of one.
       colors: of the filters, by name.
-      points: about how many samples of a series stay at most.
-      visible: filters that are shown before one asks for them in the legend; by default those that are not always robust.
+      points: largest number of samples of a series, about.
+      visible: filters that are shown at first; by default those that are not always robust.
     """
     near, truth = _interesting(run), run.truth("joint_torque")
     found = innovations(run)
     for name, color in colors.items():
         values = run.estimate(name)
-        # Series are drawn in the order of their paths: a filter that is always robust would cover the paper's three.
+        # Series are drawn in the order of their paths: a filter that is always robust would hide the paper's three.
         shown = name not in always_robust(run, colors) if visible is None else name in visible
         send_series(stream, f"torque/{name}", run.time, values, name, color, 2.5, near, points, shown)
         send_series(stream, f"error/{name}", run.time, values - truth, name, color, 1.5, near, points, shown)
@@ -131,29 +131,29 @@ def send_estimates(
 
 
 def always_robust(run: Run, names: Iterable[str], first: int = 1) -> set[str]:
-    """Filters of those that doubt themselves all the time, from a sample on: the start counts for nothing."""
+    """Return the filters that are always in robust mode, from a sample on."""
     return {name for name in names if (robust := run.estimates[name].robust) is not None and robust[first:].all()}
 
 
 def share_of(robust: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Moving share of the time in robust mode [%], shape (n,)."""
+    """Return the moving share of robust mode [%], shape (n,)."""
     return 100 * share(robust, window_samples(SHARE_WINDOW, time))
 
 
 def send_share(
     stream: rr.RecordingStream, name: str, time: np.ndarray, percent: np.ndarray, color: str, points: int = POINTS
 ) -> None:
-    """Send a filter's share of the time in robust mode [%], shape (n,)."""
+    """Send a filter's share of robust mode [%], shape (n,)."""
     send_series(stream, f"robust_share/{name}", time, percent, name, color, points=points // 4)
 
 
 def window_samples(window: float, time: np.ndarray) -> int:
-    """How many samples a window [s] has, at least one."""
+    """Return the number of samples of a window [s], at least one."""
     return max(round(window / float(time[1] - time[0])), 1)
 
 
 def windows(time: np.ndarray, robust: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Starts [s] of windows of so many samples, and whether the majority of each is robust."""
+    """Return the starts [s] of windows, and whether the majority of each is robust."""
     start = np.arange(0, len(robust), samples)
     return time[start], np.add.reduceat(robust.astype(int), start) * 2 >= np.diff(np.append(start, len(robust)))
 
@@ -165,7 +165,7 @@ def send_mode(
 
     Args:
       start, robust: of `windows`.
-      before: whether the window before them was robust; None: there is none.
+      before: whether the window before them was robust; None without one.
     """
     changes = np.flatnonzero(np.append(before is None or robust[0] != before, robust[1:] != robust[:-1]))
     if not len(changes):
@@ -211,12 +211,12 @@ def _send_motion(stream: rr.RecordingStream, run: Run, points: int) -> None:
 
 
 def send_notes(stream: rr.RecordingStream, text: str) -> None:
-    """Send what stands beside the pictures, Markdown."""
+    """Send Markdown to the panel of notes."""
     stream.log("notes", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
 
 
 def asked(run: Run) -> str:
-    """What was asked for, as Markdown."""
+    """Return the scenario as Markdown."""
     scenario = run.scenario
     mounting = scenario.mounting or run.joint.mounting
     lines = [
@@ -232,7 +232,7 @@ def asked(run: Run) -> str:
 
 
 def notes(run: Run) -> str:
-    """What was asked for and what came out, as Markdown."""
+    """Return the scenario and the results as Markdown."""
     lines = [asked(run), *(f"* {note}" for note in run.notes)]
     if run.metrics.get("filters"):
         table = comparison_markdown({run.name: run.metrics}, keys=("rms", "max", "robust_share"))

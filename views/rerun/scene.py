@@ -1,4 +1,4 @@
-"""The joint in 3D: its bodies with their motion, and the torques on them."""
+"""The joint in 3D: bodies in motion, and torques."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FRAME_RATE = 50.0
 
 
 def reach(model: mujoco.MjModel) -> float:
-    """Distance of the link's tip from the axis [m]; 0.4 for a model without the site `tip`."""
+    """Return the distance of the link's tip from the axis [m]; 0.4 for a model without the site `tip`."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tip")
     return max(float(np.linalg.norm(model.site_pos[site][[0, 2]])), 0.2) if site >= 0 else 0.4
 
@@ -34,8 +34,8 @@ def send_scene(
     Args:
       run: a run, or a stretch of one.
       model: the joint's shape.
-      colors: of the filters that there are, by name.
-      pushed: whether there is ever a torque on the link.
+      colors: of the filters by name.
+      pushed: whether there is an external torque.
     """
     frames = thin_frames(run.time)
     if not len(frames):
@@ -64,7 +64,7 @@ def send_bodies(
     Args:
       place: entity path of the scene.
       angles: of rotor and wave generator [rad, motor side] and link [rad], shape (f, 3).
-      bare: whether there is no link: its geoms are drawn as lines, as a pointer.
+      bare: whether there is no link: its geoms are drawn as lines.
 
     Returns:
       Positions of the site `tip` [m], shape (f, 3), if there is one.
@@ -89,7 +89,7 @@ def send_torques(
     torques: Mapping[str, tuple[np.ndarray, str]],
     model: mujoco.MjModel,
 ) -> None:
-    """Send torques [N·m], shape (f,) each, as curved arrows around the axis, each outside the one before.
+    """Send torques [N·m], shape (f,) each, as curved arrows around the axis with increasing radius.
 
     Args:
       place: entity path of the scene; an arrow is `torque_<name>` below it.
@@ -103,13 +103,13 @@ def send_torques(
 
 
 def _axis(model: mujoco.MjModel) -> np.ndarray:
-    """Of the joint, shape (3,)."""
+    """Axis of the joint, shape (3,)."""
     axis: np.ndarray = model.jnt_axis[model.joint("link").id]
     return axis
 
 
 def _front(model: mujoco.MjModel, axis: np.ndarray) -> float:
-    """Place on the axis [m] just before all geoms, where nothing hides an arrow."""
+    """Position on the axis [m] in front of all geoms."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     faces = [0.0]
@@ -121,7 +121,7 @@ def _front(model: mujoco.MjModel, axis: np.ndarray) -> float:
 
 
 def thin_frames(time: np.ndarray) -> np.ndarray:
-    """Indices of the samples that the 3D scene shows; of a stretch the same as of the whole."""
+    """Return the indices of the samples of the 3D scene, the same for a stretch and for the whole run."""
     period = float(time[1] - time[0])
     step = max(round(1.0 / FRAME_RATE / period), 1)
     return np.arange(-round(float(time[0]) / period) % step, len(time), step)
@@ -144,7 +144,7 @@ def _poses(model: mujoco.MjModel, angles: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def send_geoms(stream: rr.RecordingStream, model: mujoco.MjModel, body: int, path: str, lines: bool = False) -> None:
-    """Send a body's geoms as primitives or meshes in the body's frame; as lines if asked for, or if transparent."""
+    """Send a body's geoms as primitives or meshes in the body's frame; as lines if `lines`, or if transparent."""
     kinds = mujoco.mjtGeom
     for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
         kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
@@ -153,7 +153,7 @@ def send_geoms(stream: rr.RecordingStream, model: mujoco.MjModel, body: int, pat
         color = [round(255 * float(c)) for c in rgba]
         position = model.geom_pos[geom]
         rotation = model.geom_quat[geom][[1, 2, 3, 0]]
-        # A housing that one can look into is drawn as lines: what moves inside is the point.
+        # A transparent housing is drawn as lines, to show its content.
         solid = color[3] == 255 and not lines
         fill = rr.components.FillMode.Solid if solid else rr.components.FillMode.DenseWireframe
         common: dict[str, Any] = {"quaternions": [rotation], "colors": [color[:3]], "fill_mode": fill}
@@ -173,7 +173,7 @@ def send_geoms(stream: rr.RecordingStream, model: mujoco.MjModel, body: int, pat
         elif kind == kinds.mjGEOM_MESH:
             shape = _mesh(model, geom, color)
         else:
-            continue  # planes and height fields are scenery
+            continue  # planes and height fields are not part of the joint
         stream.log(f"{path}/{model.geom(geom).name or f'geom_{geom}'}", shape, static=True, strict=True)
 
 

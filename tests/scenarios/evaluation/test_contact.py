@@ -146,5 +146,5 @@ def test_the_whole_of_it():
         assert (np.diff(a.rising, axis=2) >= 0).all()
     (by_link,) = (d for d in one if d.name.endswith(contact.BY_LINK))
     assert by_link.found(float(by_link.quiet.max()))[by_link.size > 3.0].all()
-    with pytest.raises(InputError, match="looks at nothing later"):
+    with pytest.raises(InputError, match="expected a causal estimator"):
         contact.assess(scenario, folder, {"rts_smoother": registry.get("rts_smoother")}, 0.01)

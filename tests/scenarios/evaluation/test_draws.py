@@ -13,7 +13,7 @@ from flexspline.scenarios.evaluation.draws import (
     draw,
     drawn_record,
     geometric,
-    told,
+    known_within,
     varied,
 )
 from flexspline.scenarios.experiment import Experiment
@@ -68,7 +68,7 @@ def test_joints_grow_with_the_tolerance(pushed):
             assert whole[name] - nominal[name] == pytest.approx(2 * (half[name] - nominal[name]))
         assert whole[name] != nominal[name]
     assert whole["link_zero"] == 0.0 and drawn_record(experiment, 5, 1.0, False)[0]["link_zero"] != 0.0
-    wide, none = told(experiment.known, 1.0, False), told(experiment.known, 0.0, True)
+    wide, none = known_within(experiment.known, 1.0, False), known_within(experiment.known, 0.0, True)
     assert wide.spread.stiffness == pytest.approx(np.hypot(0.07, 0.02)) and wide.link_zero == 1e-3
     assert wide.spread.gravity == 0.01 and wide.spread.kinematic[0] == pytest.approx(2.4e-5, rel=0.01)
     assert none.spread.stiffness == none.friction == none.link_zero == 0.0

@@ -165,14 +165,6 @@ def test_the_file_is_a_scenarios_filters(runs, tmp_path):
     assert data["rms"]["EKF"]["train"][1] <= data["rms"]["EKF"]["train"][0]
 
 
-def test_halton_is_scipys():
-    from scipy.stats import qmc
-
-    for dimensions in (1, 2, 5):
-        expected = qmc.Halton(dimensions, scramble=False).random(65)[1:]
-        np.testing.assert_allclose(tuning.halton(dimensions, 64), expected, atol=1e-15)
-
-
 def test_the_papers_start_at_the_measurement():
     assert tuning.with_parameters(registry.get("RAREKF"), {"V": 0.5}).P0 == 0.5
 

@@ -206,7 +206,7 @@ def test_a_changed_study_is_refused_in_one_line(done, change, words):
 
 
 def test_another_version_and_another_folder_are_refused(done, tmp_path):
-    with pytest.raises(InputError, match=r"mujoco 4.*here is 9"):
+    with pytest.raises(InputError, match=r"mujoco 4.*got 9"):
         Dataset.open(done.folder, done.design, versions() | {"mujoco": "9"})
     (tmp_path / "letter.txt").write_text("not a sweep")
     with pytest.raises(InputError, match="something else"):
@@ -214,7 +214,7 @@ def test_another_version_and_another_folder_are_refused(done, tmp_path):
 
 
 def test_two_sweeps_into_one_folder_at_once_are_refused(done):
-    with done.alone(), pytest.raises(InputError, match="no other sweep"):
+    with done.locked(), pytest.raises(InputError, match="no other sweep"):
         sweep(done.design, Dataset.open(done.folder, done.design, versions()))
     sweep(done.design, done)
 
