@@ -17,7 +17,7 @@ class GravityDirection(Cause):
 
     name = "gravity_direction"
     component = "link"
-    description = "the link hangs at another angle than described: −Mg sin(θl + angle)"
+    description = "gravity acts at another angle than described: −Mg sin(θl + angle)"
     adds = True
     requires = Requirements(link_travel=0.5, known_push=True, gravity=True)
     parameters = (CauseParameter("angle", "rad", (-1.6, 1.6), ((-0.2, -0.08), (0.08, 0.2)), magnitude=True),)

@@ -18,7 +18,7 @@ class KinematicError(Cause):
     adds = True
     ripple = True
     behind_link_encoder = (
-        "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
+        "its effect on the current depends on the rotor's response, which the link's encoder does not show"
     )
     series = ("link_position", "motor_position")
     requires = Requirements(sliding=0.5, motor_turn=1.0)

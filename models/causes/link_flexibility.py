@@ -16,7 +16,7 @@ class LinkFlexibility(Cause):
     name = "link_flexibility"
     component = "link"
     imperfection = True
-    description = "part of the link's inertia hangs on it by a spring: a second resonance"
+    description = "part of the link's inertia is connected by a spring: a second resonance"
     parameters = (
         CauseParameter("share", "1", (0.0, 0.9), ((0.15, 0.4),), magnitude=True),
         # From damping that is broad enough for the next frequency to be within reach.
@@ -26,6 +26,6 @@ class LinkFlexibility(Cause):
         CauseParameter("damping", "1", (1e-3, 0.5), ((0.01, 0.05),), starts=(0.05,)),
     )
     sets = {"share": "flexible_share", "frequency": "flexible_frequency", "damping": "flexible_damping"}
-    behind_link_encoder = "it is faster than what the link's encoder says of the rotor's motion"
+    behind_link_encoder = "it is faster than the rotor's motion that the link's encoder shows"
     resonance = True
     requires = Requirements(known_push=True)

@@ -21,9 +21,7 @@ class Payload(Cause):
 
     name = "payload"
     component = "link"
-    description = (
-        "a mass hangs on the link that its description does not have: gravity moment and inertia grow together"
-    )
+    description = "an unknown mass on the link: gravity moment and inertia grow together"
     adds = True
     requires = Requirements(link_travel=0.5, known_push=True)
     parameters = (
