@@ -529,7 +529,7 @@ def _check_header(path: Path, names: list[str]) -> None:
         if channel(name) is None and joint_of(name) is None:
             raise InputError(
                 f"{path}: column {name!r}: unknown column{nearest(name, CHANNELS)}; known are {', '.join(CHANNELS)} "
-                "(`flexspline import` reads a log with columns of its own)"
+                "(`flexspline import` reads a log with other columns)"
             )
         if name in names[:i]:
             raise InputError(f"{path}: column {name!r}: duplicate column")

@@ -53,7 +53,7 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
     _check_hinge(spec, joint_name)
     if p["flexible_share"] > 0:
         p["flexible_share"] = 0.0
-        text = f"joint {joint_name!r}: the flexible part of its link is left out, as the model has bodies of its own"
+        text = f"joint {joint_name!r}: the flexible part of its link is left out, as the model has its own bodies"
         warnings.warn(text, InputWarning, stacklevel=3)
     _check_timestep(spec, joint_name, p)
     before = _compiled(spec)

@@ -51,7 +51,7 @@ class Controller(Strict):
 
     torque_loop: Annotated[float, Field(ge=0, le=1000, description="gain of the torque loop; 0: none")] = 0.0
     gravity: Annotated[
-        float, Field(ge=0, le=1, description="share of the link's weight that the drive makes up for")
+        float, Field(ge=0, le=1, description="share of the link's weight that the drive compensates")
     ] = 0.0
 
     def lagging(self, delay: float) -> Controller:
