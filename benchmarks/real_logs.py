@@ -25,7 +25,8 @@ from flexspline.diagnosis.regression import MOVING, regressions
 from flexspline.diagnosis.validate import validate
 from flexspline.models.arm import ArmSpec
 from flexspline.models.datasheet import Datasheet, new_joint
-from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Measurement, Recording, in_arm
 from flexspline.scenarios.evaluation.intervals import Interval
 

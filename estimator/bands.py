@@ -1,6 +1,6 @@
 """Error bands of estimates, from the uncertainty of the joint.
 
-A diagnosed joint states its uncertainty (`models.joint.Uncertainty`). The variance of an estimate is the sum of
+A diagnosed joint states its uncertainty (`models.joint_parts.Uncertainty`). The variance of an estimate is the sum of
 
 * its squared changes along independent directions of the uncertainty (`models.uncertainty`), one standard deviation
 each. Only the directions with the largest effect on three simple torques (from torsion, from current, the link's own)
@@ -26,7 +26,8 @@ from typing import TypeVar
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ..models.joint import Joint, Mounting
+from ..models.joint import Joint
+from ..models.joint_parts import Mounting
 from ..models.signals import Signals
 from ..models.uncertainty import independent_changes, moved, principal
 from . import registry, smoothed

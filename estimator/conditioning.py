@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..models.joint import AnalogSpec, EncoderSpec, Joint
+from ..models.joint import Joint
+from ..models.joint_parts import AnalogSpec, EncoderSpec
 from ..models.recording import Recording
 from ..models.signals import CHANNELS, POSITIONS
 from .motion import CUTOFF, SHARE

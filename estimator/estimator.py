@@ -19,7 +19,8 @@ import numpy as np
 from ..models import causes
 from ..models.chunks import BLOCK, parts
 from ..models.errors import InputError
-from ..models.joint import Joint, Mounting, Sensors
+from ..models.joint import Joint
+from ..models.joint_parts import Mounting, Sensors
 from ..models.kernels import kernel
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import N_ORDERS, PARAMETERS

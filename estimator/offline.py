@@ -34,7 +34,8 @@ from ..models import dynamics, laws
 from ..models.chunks import StoredColumns, parts
 from ..models.errors import InputError
 from ..models.files import write_into_place
-from ..models.joint import Joint, Mounting
+from ..models.joint import Joint
+from ..models.joint_parts import Mounting
 from ..models.kernels import kernel
 from ..models.recording import Recording
 from ..models.signals import Signals

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .joint import OPTIONAL_SYMBOLS, SYMBOLS, Joint, Mounting, Number, may_be_zero
+from .joint import Joint
+from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, Mounting, Number, may_be_zero
 from .parameters import PARAMETERS, as_floats, short_way
 
 CUT = 2.5

@@ -18,8 +18,9 @@ from typing import Any
 from .catalogue import Gear, gear
 from .errors import InputError, nearest
 from .files import check_name, flow_text, write_into_place
-from .joint import OPTIONAL_SYMBOLS, SYMBOLS, Joint, as_joint, value_fault
+from .joint import Joint, as_joint
 from .joint_mjcf import mjcf_text
+from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, value_fault
 from .parameters import GRAVITY
 from .units import plain
 
@@ -81,7 +82,7 @@ def _bare(unit: str) -> str:
 
 def encoder(text: str, where: str) -> dict[str, int]:
     """Return an encoder's resolution, `4096` counts per revolution (after quadrature) or `20 bit`, as in
-    `joint.EncoderSpec`.
+    `joint_parts.EncoderSpec`.
 
     Raises:
       InputError: neither.

@@ -19,7 +19,8 @@ from . import causes
 from .errors import InputError
 from .faults import Fault, Severity, contradictions, unlike_mjcf
 from .files import descriptions, kind_of, read_yaml
-from .joint import SYMBOLS, Effect, Joint, Mounting, Number, known_joints, load_joint, number_faults
+from .joint import Joint, known_joints, load_joint
+from .joint_parts import SYMBOLS, Effect, Mounting, Number, number_faults
 from .mjcf import check_mjcf
 from .parameters import GRAVITY
 

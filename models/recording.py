@@ -25,7 +25,8 @@ from .arm import column as arm_column
 from .chunks import BLOCK
 from .errors import InputError, InputWarning, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
-from .joint import Joint, Mounting, load_joint
+from .joint import Joint, load_joint
+from .joint_parts import Mounting
 from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel

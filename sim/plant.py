@@ -9,7 +9,8 @@ import numpy as np
 
 from ..models import laws
 from ..models.errors import InputError
-from ..models.joint import Joint, Mounting, shipped
+from ..models.joint import Joint, shipped
+from ..models.joint_parts import Mounting
 from ..models.parameters import GRAVITY
 from . import native, plugin
 from .shape import shape

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..models.joint import AnalogSpec, EncoderSpec, Joint, WrenchSpec
+from ..models.joint import Joint
+from ..models.joint_parts import AnalogSpec, EncoderSpec, WrenchSpec
 from ..models.kernels import kernel
 from ..models.signals import CHANNELS, READINGS, SENSED
 

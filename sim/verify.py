@@ -12,7 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..models.errors import InputError
-from ..models.joint import Joint, Mounting
+from ..models.joint import Joint
+from ..models.joint_parts import Mounting
 from . import native, plant
 from .plugin import LINK, MEMORY, transmission_at
 

@@ -15,7 +15,8 @@ import pytest
 
 import flexspline as fs
 from flexspline.estimator import offline, registry
-from flexspline.models.joint import LOCKED, Mounting, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.recording import Recording, read_recording, write_recording
 
 

@@ -17,7 +17,7 @@ import yaml
 import flexspline as fs
 from flexspline.estimator import registry
 from flexspline.models import laws, plugins
-from flexspline.models.joint import Effect
+from flexspline.models.joint_parts import Effect
 from flexspline.models.parameters import PLACES
 from flexspline.models.recording import write_recording
 
@@ -338,7 +338,7 @@ def test_in_a_new_process_it_is_simply_there(files, tmp_path):
     flexspline("sweep", "mine.yaml", "--out", "sweep", "--no-figures")
     program = """
 import dataclasses, flexspline as fs
-from flexspline.models.joint import Effect
+from flexspline.models.joint_parts import Effect
 from flexspline.models.recording import write_recording
 joint = fs.load_joint("test-joint")
 effect = Effect.model_validate({"name": "soft_bearing", "parameters": {"scale": {"value": 0.4}}})

@@ -17,7 +17,8 @@ from flexspline.estimator.motion import smooth
 from flexspline.estimator.offline import estimate_recording
 from flexspline.models import causes
 from flexspline.models.characteristics import characteristics
-from flexspline.models.joint import Effect, Estimate, as_joint, load_joint
+from flexspline.models.joint import as_joint, load_joint
+from flexspline.models.joint_parts import Effect, Estimate
 
 
 @pytest.fixture(scope="module")

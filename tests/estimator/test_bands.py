@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 from flexspline.estimator import get
 from flexspline.estimator.bands import deviations, disagreement, motion_and_load, reference_torque
 from flexspline.estimator.estimator import KnownJoint
-from flexspline.models.joint import Uncertainty, ValidRange, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Uncertainty, ValidRange
 from flexspline.models.signals import Signals
 
 JOINT = load_joint("test-joint")

@@ -29,7 +29,8 @@ from flexspline.estimator.payload_model import MEMORY
 from flexspline.estimator.smoothed import bandwidth, white_noise
 from flexspline.models import dynamics, laws
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Effect, Estimate, Uncertainty, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Effect, Estimate, Uncertainty
 from flexspline.models.recording import Recording, read_measurement
 from flexspline.models.tables import read_table
 

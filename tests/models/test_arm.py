@@ -11,7 +11,8 @@ import yaml
 from flexspline.models.arm import ArmSpec, column, joint_of
 from flexspline.models.arm_dynamics import Arm
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Mounting, shipped
+from flexspline.models.joint import shipped
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Recording, read_measurement, read_recording, write_recording
 
 ARM = """<mujoco><compiler angle="radian"/><option gravity="0 0 -9.80665"/><worldbody>

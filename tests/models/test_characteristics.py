@@ -107,7 +107,7 @@ def test_without_tolerances_there_is_no_deviation():
 
 
 def test_hysteresis_and_backlash_widen_the_loop():
-    from flexspline.models.joint import Effect, Estimate
+    from flexspline.models.joint_parts import Effect, Estimate
 
     plain = characteristics(JOINT)
     effect = Effect(name="hysteresis", parameters={"torque": Estimate(value=1.0), "extent": Estimate(value=8e-5)})

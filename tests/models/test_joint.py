@@ -16,17 +16,9 @@ import pytest
 from flexspline.models import causes
 from flexspline.models.calibration import slots
 from flexspline.models.errors import InputError, InputWarning
-from flexspline.models.joint import (
-    OPTIONAL_SYMBOLS,
-    SYMBOLS,
-    Discrepancy,
-    Effect,
-    Estimate,
-    as_joint,
-    known_joints,
-    load_joint,
-)
+from flexspline.models.joint import as_joint, known_joints, load_joint
 from flexspline.models.joint_check import check
+from flexspline.models.joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, Discrepancy, Effect, Estimate
 from flexspline.models.parameters import as_floats
 
 TEXT = known_joints()["test-joint"].read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Mounting
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Recording, read_measurement, read_recording, write_recording
 from flexspline.models.tables import read_table, write_table
 

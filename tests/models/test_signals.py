@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Sensors, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Sensors
 from flexspline.models.signals import CHANNELS, DRIVING, POSITIONS, READINGS, SENSED, WRENCH, Signals
 
 

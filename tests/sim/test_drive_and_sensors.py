@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from driving import JOINT, record_of
 
-from flexspline.models.joint import AnalogSpec, EncoderSpec
+from flexspline.models.joint_parts import AnalogSpec, EncoderSpec
 from flexspline.models.signals import READINGS, SENSED
 from flexspline.sim import plant
 from flexspline.sim.drive import Controller, control

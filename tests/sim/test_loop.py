@@ -15,7 +15,7 @@ import pytest
 from driving import JOINT, record_of
 from looping import motion, run
 
-from flexspline.models.joint import AnalogSpec, EncoderSpec
+from flexspline.models.joint_parts import AnalogSpec, EncoderSpec
 from flexspline.models.signals import READINGS, SENSED, WRENCH, Signals
 from flexspline.models.step import SAMPLE, CompiledStep, step_of
 from flexspline.sim import plant

@@ -9,7 +9,7 @@ import pytest
 from driving import JOINT, PIECES, drive, record_of, relative
 from independent import solve, torques
 
-from flexspline.models.joint import Mounting
+from flexspline.models.joint_parts import Mounting
 from flexspline.sim import plant, plugin
 from flexspline.sim.verify import LIMITS, closed_loop, locked_rotor, loop_width, verify
 

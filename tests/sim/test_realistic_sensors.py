@@ -10,7 +10,7 @@ import pytest
 from driving import JOINT
 from looping import motion, simulate
 
-from flexspline.models.joint import WrenchSpec
+from flexspline.models.joint_parts import WrenchSpec
 from flexspline.models.signals import SENSED, WRENCH
 from flexspline.sim import plant
 from flexspline.sim.drive import Controller
