@@ -3,13 +3,13 @@
 A diagnosed joint states its uncertainty (`models.joint_parts.Uncertainty`). The variance of an estimate is the sum of
 
 * its squared changes along independent directions of the uncertainty (`models.uncertainty`), one standard deviation
-each. Only the directions with the largest effect on three simple torques (from torsion, from current, the link's own)
-are used: all but `LEFT` of the energy;
+  each. Only the directions with the largest effect on three simple torques (from torsion, from current, the link's own)
+  are used: all but `LEFT` of the energy;
 * its change under additional sensor noise;
 * model discrepancy: an error of current and torsion as large as the unexplained part of the description's own data,
-larger outside the range of these, times the estimator's response to such an error; near rest, friction;
+  larger outside the range of these, times the estimator's response to such an error; near rest, friction;
 * its difference from a zero-phase estimate of the same signals: its lag, and the disagreement of two kinds of
-sensors;
+  sensors;
 * its own variance (`Posterior.variance`), if it has one.
 
 Every case repeats the preparation of the recording (zeros, payload, bandwidth). Noise is added at the recording's own

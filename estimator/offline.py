@@ -4,16 +4,16 @@ Each segment is prepared first (`prepare`):
 
 * **Current**: from the drive's torque over the torque constant that the drive uses, if it reports torque.
 * **One encoder**: the motion of the other side follows from the description, under the torque of the current (without
-current, of the link). Estimators based on torsion are left out.
+  current, of the link). Estimators based on torsion are left out.
 * **Delay** of the link encoder: its readings are shifted to earlier times.
 * **Zero.** An unknown zero offset between the encoders is an offset of the compliance model, times the stiffness. The
-joint states how well the zero is known (`sensors.link_encoder.zero`: `std`, or else `deviation`). The current
-measures it, within the tolerances of the joint's constants (`track_zero`). The zero may vary with the link angle if
-the link encoder eccentricity has a standard deviation, or if torsion contradicts the current.
+  joint states how well the zero is known (`sensors.link_encoder.zero`: `std`, or else `deviation`). The current
+  measures it, within the tolerances of the joint's constants (`track_zero`). The zero may vary with the link angle if
+  the link encoder eccentricity has a standard deviation, or if torsion contradicts the current.
 * **Load.** If the current contradicts the link's balance in most of the motion, the load is not the described one
-(`load_error`).
+  (`load_error`).
 * **W** of the paper's filters is that of `WALKS` with the most likely innovations of the EKF: it depends on the
-motion, not on the joint.
+  motion, not on the joint.
 
 No estimator reads the columns `joint_torque` and `external_torque`.
 """
