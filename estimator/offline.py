@@ -44,7 +44,7 @@ from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .conditioning import Conditioned, condition
 from .errors import FilterDiverged
-from .estimator import Estimator, KnownJoint, sample_interval
+from .estimator import Estimator, KnownJoint, interval_of
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
 from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
@@ -106,7 +106,7 @@ class Prepared:
 
     def ready(self, estimator: Estimator) -> Estimator:
         """Return an estimator scaled to joint and sampling, with W and bandwidth of this segment."""
-        interval = sample_interval(self.signals)
+        interval = interval_of(self.signals.time)
         scaled = estimator.scaled(self.known, interval)
         if isinstance(scaled, PaperFilter):
             return scaled.with_noise(scaled.W * self.walk, scaled.V)
@@ -552,7 +552,7 @@ def _shifted(signals: Signals, zero: np.ndarray) -> Signals:
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:
     """Return the factor of `WALKS` with the most likely innovations of the EKF."""
-    interval = sample_interval(signals)
+    interval = interval_of(signals.time)
     measured = registry.get("model").torques(signals, joint).mean
     ekf = registry.get("EKF").scaled(joint, interval)
     assert isinstance(ekf, PaperFilter)

@@ -42,6 +42,8 @@ OK, NOT_FINITE = 0, 1
 """Status of a good step, and of an estimate that is not finite; other numbers are defined by the step."""
 _PYTHON = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_ssize_t] * 5)
 _compiling = threading.RLock()
+Arrays = tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Address, memory, record, settings and `out` of a step."""
 
 
 class Step:
@@ -153,7 +155,7 @@ class CompiledStep:
     reads_command: bool = False
     owner: Any = None
 
-    def arrays(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def arrays(self) -> Arrays:
         """Return address, new memory, record, settings and `out`, for compiled code."""
         settings = np.ascontiguousarray(self.settings, dtype=np.float64)
         return self.address, np.zeros(max(self.memory, 1)), self.record, settings, np.zeros(max(self.outputs, 1))

@@ -17,7 +17,7 @@ from ...models.kernels import kernel
 from ...models.signals import Signals
 from ..dynamics_filter import FILTER, OUT, filter_step, write_out
 from ..errors import FilterDiverged
-from ..estimator import Estimator, KnownJoint, Posterior, fields_of, part_samples, sample_interval
+from ..estimator import Estimator, KnownJoint, Posterior, fields_of, interval_of, part_samples
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
 from ..motion import BLOCK
 from ..smoothed import in_time
@@ -104,7 +104,7 @@ class RTSSmoother(Estimator):
         for name in self.needs:
             signals[name]
         filtered = DynamicsEKF(self.name, self.process)
-        settings = filtered.settings(joint, sample_interval(signals))
+        settings = filtered.settings(joint, interval_of(signals.time))
         n, blocks = len(signals.time), list(parts(len(signals.time), BLOCK))
         memory, known = np.zeros(1, FILTER), np.zeros(len(blocks), FILTER)
         # The samples of a block, and the first one after it.
