@@ -89,7 +89,10 @@ def diagnose(
         for at in (base, found.best) if astray else (found.best,):
             one = discrepancy.find(fitter, explorer.posterior(at), base, at)
             if one is not None:
-                found, unknown = explorer.beside(found, one)
+                other, unknown = explorer.beside(found, one)
+                if not slow_too and _unseen(problem, other.best) > _unseen(problem, found.best):
+                    unknown = None
+                found = found if unknown is None else other
             if unknown is not None:
                 break
     else:
@@ -103,7 +106,7 @@ def diagnose(
         if _unseen(problem, other.best) < _unseen(problem, found.best):
             found, unknown, slow_too = other, None, False
     progress("numbers and their uncertainty", 0.92)
-    if not slow_too:
+    if not slow_too and unknown is None:
         found = _serving(problem, explorer, found)
     if slow_too:
         problem, final = _corrected(problem, _at_its_end(Fitter(problem), found.best))
