@@ -24,7 +24,8 @@ from flexspline.estimator import registry
 from flexspline.estimator.conditioning import condition
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.offline import prepare
-from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Recording
 from flexspline.scenarios.evaluation.draws import geometric
 from flexspline.scenarios.evaluation.intervals import interval

@@ -25,7 +25,8 @@ from flexspline.diagnosis.regression import MOVING, regressions
 from flexspline.diagnosis.validate import validate
 from flexspline.models.arm import ArmSpec
 from flexspline.models.datasheet import Datasheet, new_joint
-from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Measurement, Recording, in_arm
 from flexspline.scenarios.evaluation.intervals import Interval
 
@@ -181,8 +182,8 @@ FRANKA = """
 0 0 0; 1 1 0 0; 1.666555; 0.060149 -0.014117 -0.010517; 0.001964 0.004354 0.005433 0.000109 -0.001158 0.000341
 0.088 0 0; 1 1 0 0; 0.735522; 0.010517 -0.004252 0.061597; 0.012516 0.010027 0.004815 -0.000428 -0.001196 -0.000741
 """
-"""Links of a Franka Panda, one a line: position and quaternion in the previous one, mass, centre of mass, inertia as an MJCF has them, as
-identified by Gaz et al., *Dynamic Identification of the Franka Emika Panda Robot* (2019)."""
+"""Links of a Franka Panda, one a line: position and quaternion in the previous one, mass, centre of mass, inertia as in MJCF
+(Gaz et al., *Dynamic Identification of the Franka Emika Panda Robot*, 2019)."""
 
 
 def franka(shared: Path, folder: Path) -> list[Log]:

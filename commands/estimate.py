@@ -167,7 +167,7 @@ def _remarks(
     terminal: Console, name: str, poor: dict[str, tuple[str, dict[str, float]]], report: dict[str, Any]
 ) -> None:
     """Print remarks on a recording's estimates: wrong ones, extrapolated ones, missing ones."""
-    from ..models.joint import beyond_sentence
+    from ..models.joint_parts import beyond_sentence
 
     for text, worse in poor.values():
         listed = ", ".join(f"{estimator} {error:.3g}" for estimator, error in worse.items())

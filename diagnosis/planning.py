@@ -23,7 +23,8 @@ import numpy as np
 
 from ..models import causes, laws
 from ..models.errors import InputError
-from ..models.joint import LOCKED, Joint, Mounting
+from ..models.joint import Joint
+from ..models.joint_parts import LOCKED, Mounting
 from ..models.notebook import listing, paragraph
 from ..models.parameters import GRAVITY
 from ..models.recording import Measurement, Recording

@@ -29,7 +29,8 @@ from ..estimator.conditioning import Conditioned, as_logged, condition
 from ..models import dynamics
 from ..models.dynamics import State
 from ..models.errors import InputError
-from ..models.joint import EncoderSpec, Joint, ValidRange
+from ..models.joint import Joint
+from ..models.joint_parts import EncoderSpec, ValidRange
 from ..models.kernels import kernel
 from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording

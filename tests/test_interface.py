@@ -19,7 +19,7 @@ from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.validate import ChannelError
 from flexspline.estimator import registry
 from flexspline.models import causes
-from flexspline.models.joint import Effect, Estimate
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import read_recording, write_recording
 from flexspline.scenarios.scenario import load_scenario
 

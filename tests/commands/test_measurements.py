@@ -15,7 +15,8 @@ import pytest
 
 import flexspline as fs
 from flexspline.estimator import offline, registry
-from flexspline.models.joint import LOCKED, Mounting, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.recording import Recording, read_recording, write_recording
 
 
@@ -69,7 +70,7 @@ def test_a_table_beside_another_of_its_name_is_told(flexspline, measurement):
     (measurement / "slow.csv").write_text("time,motor_position\n0,1\n")
     code, out, err = flexspline("check", measurement, "--json")
     assert code == 0 and [r["name"] for r in json.loads(out)["recordings"]] == ["slow"]
-    assert one_line(err).endswith("slow.csv: not read, as slow.parquet lies beside it")
+    assert one_line(err).endswith("slow.csv: not read, as slow.parquet was read")
 
 
 def test_what_a_run_wrote_beside_its_recording_is_no_table_that_was_forgotten(flexspline, tmp_path):

@@ -17,7 +17,7 @@ import yaml
 import flexspline as fs
 from flexspline.estimator import registry
 from flexspline.models import laws, plugins
-from flexspline.models.joint import Effect
+from flexspline.models.joint_parts import Effect
 from flexspline.models.parameters import PLACES
 from flexspline.models.recording import write_recording
 
@@ -241,8 +241,8 @@ BROKEN = {
     "a = 1\n1 / 0": "plugin {file}, line 2: ZeroDivisionError: division by zero",
     "a = 1\nraise SystemExit(0)": "plugin {file}, line 2: SystemExit: 0",
     "import sys\nsys.exit('bye')": "plugin {file}, line 2: SystemExit: bye",
-    "ESTIMATORS = (3,)": "estimator '3' of {file}: expected an Estimator, got int",
-    "CAUSES = (3,)": "cause '3' of {file}: expected a Cause, got int",
+    "ESTIMATORS = (3,)": "estimator '3' of {file}: expected a subclass of flexspline.estimator.estimator.Estimator, got int",
+    "CAUSES = (3,)": "cause '3' of {file}: expected a subclass of flexspline.models.causes.base.Cause, got int",
 }
 
 
@@ -338,7 +338,7 @@ def test_in_a_new_process_it_is_simply_there(files, tmp_path):
     flexspline("sweep", "mine.yaml", "--out", "sweep", "--no-figures")
     program = """
 import dataclasses, flexspline as fs
-from flexspline.models.joint import Effect
+from flexspline.models.joint_parts import Effect
 from flexspline.models.recording import write_recording
 joint = fs.load_joint("test-joint")
 effect = Effect.model_validate({"name": "soft_bearing", "parameters": {"scale": {"value": 0.4}}})

@@ -11,7 +11,8 @@ import pytest
 
 from flexspline.estimator import FilterDiverged, registry
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Effect, Estimate, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.scenarios.experiment import Experiment, estimate, signals_of
 from flexspline.scenarios.filters import PAPER
 from flexspline.scenarios.run import run_scenario

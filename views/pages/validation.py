@@ -12,7 +12,7 @@ import numpy as np
 
 from ...models.errors import InputError
 from ...models.files import check_format, read_json
-from ...models.joint import beyond_sentence
+from ...models.joint_parts import beyond_sentence
 from ...models.recording import LARGEST
 from ...models.tables import read_table
 from ..numbers import number, percent
