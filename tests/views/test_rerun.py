@@ -76,12 +76,12 @@ def test_parts_of_the_torsion_add_up(recording):
 def test_the_flexsplines_part_is_the_one_that_carries_the_torque(recording, pushed):
     times, torsion = series(RrdReader(recording), "/torsion/flexspline")
     torque = np.interp(times, pushed.time, pushed.truth("joint_torque"))
-    small = np.abs(torque) < 3.5  # N·m, below the first knee
+    small = np.abs(torque) < 3.5  # N·m, below T1
     assert np.allclose(1e-3 * torsion[small] * 8400, torque[small], atol=0.15)
 
 
 def test_eighty_seconds_stay_below_twenty_megabytes(recording):
-    # Series have at most so many points whatever the duration; 4 s are already near that.
+    # Series have a largest number of points, which 4 s nearly reach.
     assert recording.stat().st_size < 8e6
 
 
@@ -110,7 +110,7 @@ def test_measured_against_simulated(tmp_path):
 
 
 def test_the_shape_is_the_plants(pushed):
-    """Bodies stand where those of the simulated model stand, which the views do not build."""
+    """Bodies have the positions of the simulated model, which the views do not build."""
     simulated, shown = plant.build(pushed.joint), shape(pushed.joint)
     places = []
     for model in (simulated, shown):
@@ -134,7 +134,7 @@ def test_arrows_of_torque_are_as_long_as_the_torque(recording, pushed):
     np.testing.assert_allclose(strips[:, 0, 0], 0.0, atol=1e-6)  # they begin above the axis
     lengths = np.linalg.norm(np.diff(strips, axis=1), axis=2).sum(axis=1)
     torque = np.interp(times, pushed.time, pushed.truth("joint_torque"))
-    swept = np.maximum(np.radians(DEGREES_PER_TORQUE * np.abs(torque)) - 0.22, 0.0)  # the head is an arrow of its own
+    swept = np.maximum(np.radians(DEGREES_PER_TORQUE * np.abs(torque)) - 0.22, 0.0)  # the head is another arrow
     radius = lengths.max() / swept.max()
     np.testing.assert_allclose(lengths, radius * swept, atol=0.01 * lengths.max())
 
@@ -162,4 +162,4 @@ def test_a_push_moves_the_link_the_way_its_arrow_points(pushed):
     axis, arm, torque = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -0.4]), 5.0
     direction = np.cross(axis, arm)
     assert np.isclose(np.cross(arm, direction) @ axis * torque, torque * 0.16)
-    assert direction[0] > 0  # a hanging link is pushed forward, to +x
+    assert direction[0] > 0  # a link at rest is pushed forward, to +x
