@@ -112,7 +112,7 @@ def test_a_page_of_an_older_dataset(tmp_path, monkeypatch, capsys, name, said):
     assert call(monkeypatch, capsys, folder, "--out", tmp_path / "page.html", command="report")[0] == 0
     page = (tmp_path / "page.html").read_text()
     assert f"flexspline sweep {said} --seeds 4 --out" in page
-    assert ("named by its path" in page) == (name == "small")
+    assert ("the path of your study" in page) == (name == "small")
 
 
 def test_seeds_that_are_listed_are_not_twice_as_many(tmp_path, monkeypatch, capsys):

@@ -6,13 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from flexspline.models.errors import InputError
 from flexspline.sim import plant
 from flexspline.sim.shape import shape
-from flexspline.views.rerun import ModelledChannel, rerun_measurement, write_rerun
+from flexspline.views.rerun import write_rerun
 from flexspline.views.rerun.arrows import DEGREES_PER_TORQUE
+from flexspline.views.rerun.channels import ModelledChannel, send_channel
+from flexspline.views.rerun.recording import layout, series_view
 from flexspline.views.rerun.recording import recording as opened
 from flexspline.views.rerun.scene import send_geoms
 
@@ -100,10 +103,13 @@ def test_measured_against_simulated(tmp_path):
         ModelledChannel("joint torque", "N·m", time, measured, np.sin(time) + 0.1, {"with backlash": np.sin(time)}),
         ModelledChannel("motor current", "A", time, np.cos(time), np.cos(time)),
     ]
-    path = rerun_measurement(tmp_path / "measurement.rrd", "drop", channels, notes="# Drop")
+    path = tmp_path / "measurement.rrd"
+    with opened(path, "drop", layout(rrb.Vertical(series_view("joint torque", "channels")), 10.0)) as stream:
+        for channel in channels:
+            send_channel(stream, channel)
     reader = RrdReader(path)
     paths = set(reader.store().schema().entity_paths())
-    assert {"/channels/joint_torque/values/measured", "/channels/joint_torque/values/with_backlash", "/notes"} <= paths
+    assert {"/channels/joint_torque/values/measured", "/channels/joint_torque/values/with_backlash"} <= paths
     _, residual = series(reader, "/channels/joint_torque/residual/simulated")
     assert np.nanmax(np.abs(residual + 0.1)) < 1e-9
     assert np.count_nonzero(np.isnan(residual)) == 100
