@@ -807,6 +807,9 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
       source: a shipped joint's name (`test-joint`) or a path.
       beside: folder to which the path is relative.
 
+    Returns:
+      The joint.
+
     Raises:
       InputError: no such joint, or a wrong description; one line.
 

@@ -37,7 +37,7 @@ def test_the_site_is_built_and_has_the_reference(tmp_path):
     commands = (site / "reference" / "commands" / "index.html").read_text(encoding="utf-8")
     assert "flexspline report before after" in commands and "--json" in commands
     python = (site / "reference" / "python" / "index.html").read_text(encoding="utf-8")
-    assert "Estimators on identical signals, in one table of measures." in python
+    assert "Compare estimators on identical signals." in python
     schema = json.loads((site / "schemas" / "scenario.schema.json").read_text(encoding="utf-8"))
     assert "trajectory" in schema["properties"]
     assert not list(site.glob("*.py")) and not list(site.glob("*.csv"))

@@ -421,6 +421,10 @@ class Plausibility:
         else:
             shapes.add(1.0, -0.06 * rated, 0.06 * rated, float(p["torque_offset"]), 0.02 * rated)
             shapes.add(motion.time, -0.004 * rated, 0.004 * rated, float(p["torque_rate"]), 0.004 * rated / 3)
+            # Friction of the output bearing, and a mass model of an arm that is off.
+            shapes.add(sliding, 0.0, 0.1 * rated, float(p["link_friction"]), 0.03 * rated)
+        if motion.known_torque.any():
+            shapes.add(-motion.known_torque, -0.5, 0.5, float(p["arm_scale"]) - 1.0, 0.1)
         if "external_torque" in motion and not self.pushed:  # measured, with a gain near one
             shapes.add(-motion.channels["external_torque"][:, 0], 0.6, 1.5, 1.0, 0.3)
         y = motion.channels[name][:, 0] * (N if drive else 1.0) * (float(p["Kt"]) if name == "motor_current" else 1.0)

@@ -607,6 +607,9 @@ class Fitter:
     def finish(self, model, theta, point, jacobian, extra, noise, history=(), weight=None) -> Fit:
         """The Laplace approximation of a model at its maximum, under a noise; rows by leverage unless weights are given."""
         problem = self.problem
+        if not all(np.isfinite(r).all() for r in point.residual):  # beyond what the replay follows
+            prior = np.diag(problem.spread(model) ** 2)
+            return Fit(model, theta, point, jacobian, extra, noise, prior, -np.inf, np.inf, tuple(history))
         normal = normal_equations(problem, noise, model, theta, point, jacobian, extra, self.settings, weight)
         spread = problem.spread(model)
         _, logdet = np.linalg.slogdet(normal.hessian * spread[:, None] * spread)

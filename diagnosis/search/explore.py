@@ -278,7 +278,8 @@ class Explorer:
             less, lost = _without(self.problem, linear, i)
             if lost < 4 * self.settings.window * post.temper:
                 f = self._fit(less.model, less.theta, best, best)
-                yield i, post.judge(f), max(best.log_evidence - f.log_evidence, 0.0)
+                if np.isfinite(f.log_evidence):
+                    yield i, post.judge(f), max(best.log_evidence - f.log_evidence, 0.0)
 
     def neighbours(self, best: Fit, library: Library) -> tuple[Fit, list[Judged]]:
         """The best of all models without one of the effects or with another cause in its place, and all that were judged."""

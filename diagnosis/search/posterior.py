@@ -119,6 +119,8 @@ class ModelPosterior:
           looks_like: by index of a cause, the size that what nothing explains may have of it (`unexplained_size`): its part of
             the prior that is no effect is that much wider.
         """
+        if not np.isfinite(f.log_evidence):
+            return Judged(f, -np.inf, (0.0,) * len(f.model))
         T, s = self.temper, self.settings
         evidence = f.log_evidence - self.reference.log_evidence
         ordinary, small, trace = [], [], []

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .base import Cause, CauseParameter, Requirements
 
 
 class ArmLoad(Cause):
-    """What the arm's mass model puts on the joint is scaled.
+    """All masses of the arm's model are scaled.
 
-    The torque of the other links' weight, inertia and motion comes from an MJCF file. Ordinary: masses 8 to 20 % off.
+    The torque of the links' weight, inertia and motion comes from an MJCF file. Ordinary: masses 8 to 20 % off.
     """
 
     name = "arm_load"
     component = "link"
-    description = "what the arm's mass model puts on the joint is scaled"
+    description = "all masses of the arm's model are scaled"
     parameters = (
         CauseParameter("scale", "1", (0.05, 20.0), ((0.80, 0.92), (1.08, 1.20)), neutral=1.0, magnitude=True),
     )
-    sets = {"scale": "arm_scale"}
+    adds = True
     multiple = 5.0
     requires = Requirements(arm=True)
+
+    def apply(self, p: np.void, values: dict[str, float]) -> None:
+        """Scale the torque of the other links, and the link's own inertia and weight."""
+        for field in ("arm_scale", "Jl", "Mg"):
+            p[field] *= values["scale"]

@@ -95,6 +95,7 @@ def derivative(t, x, p, motor_torque, external_torque, temperature=25.0):
         for A, n, phase in zip(p["cogging_amplitude"], p["cogging_order"], p["cogging_phase"], strict=True)
     )
     link = external_torque - p["Mg"] * math.sin(tl + p["gravity_angle"]) - p["cable_stiffness"] * (tl - p["cable_rest"])
+    link -= p["link_friction"] * math.tanh(wl / 0.01) + p["link_damping"] * wl
     link -= p["stop_stiffness"] * max(0.0, tl - p["stop_angle"])
     link += discrepancy("link", *where)
     # A share of the link's inertia on a spring: J_s (φ'' + θl'') = −k φ − d φ', resonant at the stated frequency where
@@ -173,5 +174,6 @@ def torques(record, states, rates, inputs, period=1e-3):
     others = np.concatenate([np.full(round(duration / period), external) for duration, _, external in inputs])
     others -= p["Mg"] * np.sin(tl + p["gravity_angle"]) + p["cable_stiffness"] * (tl - p["cable_rest"])
     others -= p["stop_stiffness"] * np.maximum(0.0, tl - p["stop_angle"])
+    others -= p["link_friction"] * np.tanh(states[:, 5] / 0.01) + p["link_damping"] * states[:, 5]
     hanging = p["flexible_share"] * p["Jl"] * rates[:, 9]
     return p["Jl"] * rates[:, 5] + hanging - others

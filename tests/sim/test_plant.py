@@ -107,6 +107,7 @@ EFFECTS = {
     "link_inertia": {"Jl": 0.6},
     "cable_spring": {"cable_stiffness": 1.2, "cable_rest": 0.4},
     "hard_stop": {"stop_angle": 0.02, "stop_stiffness": 30.0},
+    "link_friction": {"link_friction": 0.5, "link_damping": 0.2},
     "smooth_knees": {"knee_width": 1.2e-4, "T1": 1.2, "T2": 4.0, "K2": 6000.0, "K3": 12000.0},
 }
 """Effects that act in the plant (the others in its sensors), as changes of the record."""
@@ -138,7 +139,7 @@ def test_effect_is_that_of_the_specification(effect, nominal):
     )
     print(f"{effect}: {got}, the effect itself {change:.3f}")
     limits = {"torsion": 0.005, "link": 0.005, "joint torque": 0.006, "wrench": 0.007}
-    if effect in ("cable_spring", "hard_stop"):
+    if effect in ("cable_spring", "hard_stop", "link_friction"):
         # MuJoCo's sensor takes what a callback does to the link's coordinate for the joint's; the loop takes it out
         # (tests/scenarios/test_loop.py).
         del limits["wrench"], got["wrench"]
