@@ -105,7 +105,7 @@ def test_delay_and_what_is_found():
     assert not alarmed.found(2.0).any()
     point = contact.at(one, 2.0, 50)
     assert point["found_of_large"] == 1.0 and point["smallest_push"] == pytest.approx(2.0, rel=0.1)
-    assert point.delay.low < point.delay.mean < point.delay.high
+    assert point["delay_low"] < point["delay"] < point["delay_high"]
 
 
 def test_smallest_push_by_logistic_regression():

@@ -7,15 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
+from benchmarks.draws import draw, geometric
 from benchmarks.estimators import geometric_over
-from flexspline.scenarios.evaluation.draws import (
-    TURNS,
-    draw,
-    drawn_record,
-    geometric,
-    known_within,
-    varied,
-)
+from flexspline.scenarios.evaluation.draws import TURNS, drawn_record, known_within, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 
