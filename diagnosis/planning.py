@@ -203,6 +203,11 @@ class Plan:
         """The proposals, best first."""
         return [self.sentence(p) for p in self.proposals]
 
+    def __repr__(self) -> str:
+        return (
+            f"Plan({len(self.questions)} questions; proposals: {', '.join(p.name for p in self.proposals) or 'none'})"
+        )
+
     def _repr_html_(self) -> str:
         return paragraph("What to measure next") + (
             listing(self.sentences()) or paragraph("", "nothing would tell more")
