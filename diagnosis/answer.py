@@ -1,4 +1,4 @@
-"""The answer of a diagnosis: what was found, how sure that is, and what it rests on."""
+"""The answer of a diagnosis: causes, their confidence, and the evidence."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ class Finding:
 
     Attributes:
       name, component: as in the library, or `unknown`.
-      confidence: probability that this, and no other cause, is there.
+      confidence: posterior probability of this cause.
       parameters: of the extended model.
-      explains: share of the held-out discrepancy that it removes, in mean squares of output torque.
-      worth: root mean square that it alone removes from the simulation's error [N·m at the output], and of several causes, from
-        that of estimates of the joint torque; estimation: the latter [N·m], NaN where there is but one or no torque was measured.
+      explains: share of the held-out residual that it removes, in mean squares of output torque.
+      worth: contribution: RMS that it alone removes from the simulation error [N·m at the output]; of several causes,
+        together with `estimation`.
       description, depends_on: of an unknown effect.
+      estimation: RMS that it removes from the error of torque estimates [N·m]; NaN for one cause, or if no torque was measured.
     """
 
     name: str
@@ -56,13 +57,13 @@ class Finding:
 
     @property
     def determined(self) -> bool:
-        """Whether its parameters state anything: phases within a quarter of a turn, a size above its standard deviation."""
+        """Whether its parameters are known: phases within a quarter of a turn, a size above its standard deviation."""
         sizes = [p for name, p in self.parameters.items() if name not in ("phase", "order")]
         phase = self.parameters.get("phase")
         return (phase is None or phase.std < math.pi / 2) and (not sizes or any(abs(p.value) > p.std for p in sizes))
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands in `diagnosis.json`."""
+        """Return the entry in `diagnosis.json`."""
         entry: dict[str, Any] = {
             "name": self.name,
             "component": self.component,
@@ -81,7 +82,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class ParameterShift:
-    """A number that calibration moved within its tolerance; `moved`: by how many standard deviations of it."""
+    """A number that calibration moved within its tolerance; `moved`: by how many of its standard deviations."""
 
     nominal: float
     value: float
@@ -93,7 +94,7 @@ class ParameterShift:
 
 @dataclass(frozen=True)
 class BalanceResidual:
-    """RMS of one balance on held-out data: described and calibrated joint, extended joint, what the sensors' noise explains."""
+    """RMS of one balance on held-out data: with the calibrated joint, with the extended joint, and of the sensors' noise."""
 
     before: float
     after: float
@@ -103,33 +104,29 @@ class BalanceResidual:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The answer, with what is needed to show how it came about.
+    """The answer of a diagnosis.
 
     Attributes:
-      verdict: consistent, discrepancy or inconclusive; reasons: why, where that is not plain from the causes, and what holds the
-        answer back.
-      causes: by how much each is worth; minor: effects that are there, too small to be called causes or
-        part of the unknown one.
+      verdict: consistent, discrepancy or inconclusive; reasons: for it, and for what limits the answer.
+      causes: by contribution; minor: effects too small to be causes.
       calibration: numbers that moved.
-      confusable: pairs of causes that this measurement cannot tell apart.
-      undetermined: causes that it could not have shown at ordinary size, with the reason.
+      confusable: pairs of confounded causes.
+      undetermined: causes that this measurement cannot show at ordinary size, with the reason.
       residual: by balance.
-      regions: what the extended joint is worth where a fit has not been, the worst first.
-      extended: the joint with calibration and effects in it; unseen: the same of a fit that has not seen the held-out blocks,
-        None where `extended` is of such a fit.
+      regions: errors in held-out regions, the worst first.
+      extended: the joint with calibration and effects; unseen: the same, fitted without the held-out blocks, None if equal.
       mistakes: in the data.
-      decisions: about every hypothesis that was looked at.
-      problem, search: what was computed; None where mistakes in the data made physics meaningless.
-      final: the fit that the extended joint has: of `whole`, the one to the data, the `share` that holds where it was not fitted.
-      before, after: residuals of every segment, shape (k, len(BALANCES)), for showing.
-      estimation: what diagnosis gains for estimation.
-      plan: what to measure next (`planning.plan`), where it was asked for.
-      held_out: how data were kept from the fits.
-      regressions: what a plain regression says of each torque channel.
-      drive_torque: torque constant of the drive [N·m/A] where it reported a torque and no current: the balance of the drive
-        is then `motor_torque` in `residual`, in N·m; else 0.
-      complete: whether there was time for all stages.
-      seconds: that it took.
+      decisions: about every hypothesis of the search.
+      problem, search: of the computation; None for data with severe mistakes.
+      final: fit of the extended joint: `whole`, the fit to the data, shrunk to `share` of its way from the description.
+      before, after: residuals of every segment, shape (k, len(BALANCES)).
+      estimation: gain for torque estimates.
+      plan: what to measure next (`planning.plan`), if asked for.
+      held_out: how data were held out.
+      regressions: plain regressions of each torque channel.
+      drive_torque: torque constant of the drive [N·m/A] if it reported a torque and no current, else 0. The drive's balance
+        is then `motor_torque` in `residual` [N·m].
+      complete: whether time sufficed for all stages; seconds: run time.
     """
 
     verdict: str
@@ -162,19 +159,23 @@ class Diagnosis:
 
     @property
     def reason(self) -> str:
-        """The reasons in one sentence, as `diagnosis.json` has them; empty for none."""
+        """The reasons as one line of `diagnosis.json`."""
         return "; ".join(self.reasons)
 
     def logged_as(self, balance: str) -> tuple[str, float]:
-        """The channel that a balance stands for in the log, and the factor from the balance's unit to the channel's."""
-        return (
-            ("motor_torque", self.drive_torque) if self.drive_torque and balance == "motor_current" else (balance, 1.0)
-        )
+        """Return the log's channel of a balance, and the factor from the balance's unit to the channel's."""
+        if self.drive_torque and balance == "motor_current":
+            return "motor_torque", self.drive_torque
+        return balance, 1.0
 
     @property
     def mendable(self) -> bool:
-        """Whether every mistake that makes physics meaningless has a change that mends it."""
+        """Whether a known change corrects every severe mistake."""
         return all(m.sure for m in self.mistakes if m.severe)
+
+    def __repr__(self) -> str:
+        named = ", ".join(f"{c.name} {c.confidence:.2f}" for c in self.causes) or "no cause"
+        return f"Diagnosis({self.verdict!r}: {named}{'; ' if self.reasons else ''}{self.reason})"
 
     def _repr_html_(self) -> str:
         causes_ = [
@@ -192,16 +193,16 @@ class Diagnosis:
                 *(paragraph(f"{m.name}:", f"{m.column} {m.description}") for m in self.mistakes),
                 html_table(("cause", "component", "sure", "explains", "worth [N·m]", "parameters"), causes_),
                 html_table(("residual", "before", "after", "noise", "unit"), residual),
-                paragraph("Cannot be told apart:", "; ".join(" and ".join(p) for p in self.confusable))
+                paragraph("Confounded:", "; ".join(" and ".join(p) for p in self.confusable))
                 if self.confusable
                 else "",
-                paragraph("Could not have shown:", ", ".join(self.undetermined)) if self.undetermined else "",
+                paragraph("Undetectable:", ", ".join(self.undetermined)) if self.undetermined else "",
                 "" if self.plan is None else self.plan._repr_html_(),
             )
         )
 
     def to_json(self) -> dict[str, Any]:
-        """What `diagnosis.json` holds."""
+        """Return the content of `diagnosis.json`."""
         return {
             "verdict": self.verdict,
             "reason": self.reason,

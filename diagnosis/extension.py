@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ..models import causes
@@ -13,8 +11,7 @@ from ..models.joint_parts import Effect, Estimate
 from .answer import ParameterShift
 from .fit.residual import TIMING, Problem
 from .fit.solver import Fit
-from .search import discrepancy
-from .search.discrepancy import Unknown
+from .search.discrepancy import Spline
 
 
 def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
@@ -105,13 +102,14 @@ def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
     return found
 
 
-def extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -> Joint:
-    """The joint with calibrated numbers (their nominal kept beside them) and effects; `unknown`: the fit's last effect, if it is
-    one that no cause explains."""
+def extended(problem: Problem, at: Fit, joint: Joint) -> Joint:
+    """Return the joint with calibrated numbers (their nominal values included), effects and discrepancies of a fit."""
     found = calibrated(problem, at, joint)
     effects: list[Effect] = []
+    discrepancies = list(joint.discrepancies)
     for i, (h, u) in enumerate(zip(at.model, problem.split(at.theta, at.model), strict=True)):
-        if not h.free:
+        if isinstance(h, Spline):
+            discrepancies.append(h.as_discrepancy(u))
             continue
         block = problem.place(at.model, i)
         values, std = h.values(u), problem.deviation(h, u, at.covariance[block, block])
@@ -121,5 +119,4 @@ def extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -
         effects.append(Effect(name=h.cause.name, parameters=parameters))
     names = {e.name for e in effects}
     kept = [e for e in joint.effects if e.name not in names or causes.get(e.name).adds]
-    found = found.model_copy(update={"effects": [*kept, *effects]})
-    return discrepancy.extend(found, replace(unknown, fit=at)) if unknown is not None else found
+    return found.model_copy(update={"effects": [*kept, *effects], "discrepancies": discrepancies})

@@ -37,10 +37,8 @@ from .data.segments import BALANCES, segments
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.noise import Noise, sensor_noise, whiten
 from .fit.residual import Problem
-from .fit.solver import SETTINGS as SOLVER
 from .fit.solver import Columns, Fit, evaluate_point, leverage_weight
 from .search.identifiability import ALIKE, SHOWS, distance
-from .search.screen import SETTINGS as SCREEN
 from .search.screen import Library
 from .trials.motions import CONTROLLER, record_motion, waypoints
 
@@ -204,6 +202,11 @@ class Plan:
     def sentences(self) -> list[str]:
         """The proposals, best first."""
         return [self.sentence(p) for p in self.proposals]
+
+    def __repr__(self) -> str:
+        return (
+            f"Plan({len(self.questions)} questions; proposals: {', '.join(p.name for p in self.proposals) or 'none'})"
+        )
 
     def _repr_html_(self) -> str:
         return paragraph("What to measure next") + (
@@ -416,10 +419,10 @@ class _State:
     def information(self, problem: Problem, noise: Noise, jacobian: Columns, shown: set[str]) -> np.ndarray:
         """Fisher information of a problem's data, shape (columns, columns); none about causes that are not `shown`."""
         tried = [i for i, h in enumerate(self.tried) if h.cause.name in shown]
-        library = Library(problem, self.at, [self.tried[i] for i in tried], SCREEN.probe)
+        library = Library.at(problem, self.at, [self.tried[i] for i in tried])
         X = whiten(problem.segments, noise, jacobian, *([library.whole] if tried else [])).rows
         X = X[np.all(np.isfinite(X), axis=1)]
-        X = X * np.sqrt(leverage_weight(X[:, : self.common], SOLVER.leverage))[:, None]
+        X = X * np.sqrt(leverage_weight(X[:, : self.common]))[:, None]
         found = np.zeros((self.columns, self.columns))
         where = np.concatenate([np.arange(self.size), *(self.tried_blocks[i] for i in tried)])
         found[np.ix_(where, where)] = X.T @ X
@@ -504,7 +507,7 @@ def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
             discrepancy[b] = np.max(known[formed], axis=0, initial=0.0) / scale[b]
     typical = np.maximum(np.median(at.noise.rest, axis=0), new.quantum())
     rest = np.tile(np.where(formed, typical, new.quantum()), (len(new.segments), 1))
-    return Noise(sensor_noise(new.segments, point.noise), discrepancy, rest, at.noise.settings)
+    return Noise(sensor_noise(new.segments, point.noise), discrepancy, rest, at.noise.bands)
 
 
 # --- the experiments -------------------------------------------------------------------------------------------------

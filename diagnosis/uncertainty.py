@@ -19,7 +19,7 @@ from .data.segments import BALANCES, LINK, TORQUE
 from .fit.regions import Region, region_masks, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Point, covariances, root_of
-from .search.worth import unexplained
+from .search.contribution import excess_by_balance
 
 _STEP = 1e-3
 _DIGITS = 4
@@ -38,8 +38,8 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
       regions: of the measurement, each kept from a fit of its own.
     """
     covariance = larger(*covariances(problem, fit))
-    if fit.least is not None:
-        covariance = larger(covariance, fit.least)
+    if fit.least_covariance is not None:
+        covariance = larger(covariance, fit.least_covariance)
     names, period, values = _quantities(problem, fit, joint)
     base = values(fit.theta)
 
@@ -57,7 +57,7 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
     factor[:, : lower.shape[1]] = lower * np.sign(np.where(np.diag(lower) == 0, 1.0, np.diag(lower)))
     # What was learned of discrepancy has neither a mean nor what is slower than seconds: it is never less than what is left.
     square = np.sum(fit.noise.discrepancy**2, axis=1)
-    square = np.maximum(square, unexplained(problem, fit.point) / problem.output_scale**2)
+    square = np.maximum(square, excess_by_balance(problem, fit.point) / problem.output_scale**2)
     if problem.has_torque:  # a torque reading has it, and nothing of the description
         square[[TORQUE, LINK]] += problem.crosstalk_at(fit.theta, covariance) ** 2
     return Uncertainty(
@@ -75,7 +75,7 @@ def of_description(problem: Problem, described: Point) -> Uncertainty:
       described: residuals with its numbers as they are.
     """
     before = problem.joint.uncertainty or Uncertainty(names=[], factor=[])
-    left = _by_balance(problem, unexplained(problem, described) / problem.output_scale**2)
+    left = _by_balance(problem, excess_by_balance(problem, described) / problem.output_scale**2)
     return before.model_copy(
         update={"discrepancy": {name: max(rms, before.discrepancy.get(name, 0.0)) for name, rms in left.items()}}
     )

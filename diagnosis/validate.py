@@ -167,6 +167,10 @@ class Validation:
     recordings: tuple[Channels, ...] = field(default=(), repr=False)
     untared: bool = False
 
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{name} {e.rms:.3g} {e.unit}" for name, e in self.residual.items())
+        return f"Validation({self.joint!r}: RMS error {errors or 'of no channel'})"
+
     def _repr_html_(self) -> str:
         rows = [(name, e.rms, e.noise, e.unit, f"{100 * e.inside:.1f} %") for name, e in self.residual.items()]
         beyond = [f"{100 * share:.2g} % beyond the range of {name}" for name, share in self.beyond.items()]

@@ -159,6 +159,10 @@ class Recording:
     def __contains__(self, channel: str) -> bool:
         return channel in self.columns
 
+    def __repr__(self) -> str:
+        seconds = self.time[-1] - self.time[0] if len(self.time) else 0.0
+        return f"Recording({self.name!r}: {len(self.time)} samples, {seconds:.4g} s; {', '.join(self.columns)})"
+
     def _repr_html_(self) -> str:
         rows = [(name, _unit(name), float(x.min()), float(x.max())) for name, x in self.columns.items()]
         seconds = float(self.time[-1] - self.time[0])

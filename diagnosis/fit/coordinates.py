@@ -1,8 +1,8 @@
-"""A cause as an optimiser sees it: free coordinates near one, with a prior, instead of parameters with units.
+"""Causes in an optimiser's coordinates: of order one, with a prior, instead of parameters with units.
 
-Magnitudes are measured in their ordinary size, from where the cause does nothing; an amplitude with a phase becomes two
-Cartesian coordinates, in which it is linear and has no singular point; other positive parameters are logarithmic.
-Whole-number parameters (orders) are not coordinates: each of their values is a hypothesis of its own.
+Magnitudes are in ordinary sizes, from where the cause does nothing. An amplitude with a phase becomes two Cartesian coordinates,
+in which it is linear and not singular. Other positive parameters are logarithmic. Whole-number parameters (orders) are not
+coordinates: each of their values is a separate hypothesis.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SPREAD = 1.2
 SHAPE_SPREAD = 1.3
 """Prior standard deviation of the other coordinates, in half widths of their ordinary interval."""
 SHAPE_REACH = 2.2
-"""Half widths within which they stay: what is much slower, or much farther away, is another effect."""
+"""Half widths within which they stay: a much slower or farther effect is another one."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,9 @@ class Hypothesis:
       cause: the cause.
       fixed: its whole-number parameters.
       centre: values at which the joint does not change, in the units of the cause's parameters.
-      start: values of the parameters that say where or how, from which a search starts.
-      alternatives: over how many whole numbers the prior is spread.
+      start: values of the parameters that are no magnitudes, from which a search starts.
+      alternatives: number of whole numbers over which the prior is spread.
+      scale: of each parameter, its ordinary size or half width.
     """
 
     cause: Cause
@@ -46,7 +47,7 @@ class Hypothesis:
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """What tells it from others: the cause's name and its whole numbers."""
+        """Identity: the cause's name and its whole numbers."""
         return (self.cause.name, *self.fixed.items())
 
     @cached_property
@@ -56,7 +57,7 @@ class Hypothesis:
 
     @cached_property
     def polar(self) -> bool:
-        """Whether amplitude and phase are taken as Cartesian coordinates."""
+        """Whether amplitude and phase are Cartesian coordinates."""
         return any(q.period for q in self.cause.parameters)
 
     @cached_property
@@ -66,11 +67,11 @@ class Hypothesis:
 
     @cached_property
     def magnitudes(self) -> list[int]:
-        """Which coordinates vanish with the effect."""
+        """Indices of the coordinates that vanish with the effect."""
         return [i for i, q in enumerate(self.free) if q.magnitude or self.polar]
 
     def values(self, u: np.ndarray) -> dict[str, float]:
-        """Parameters of the cause at coordinates u, within their bounds."""
+        """Return the cause's parameters at coordinates u, within their bounds."""
         values = self._unbounded(u)
         for q in self.free:
             if not q.period:
@@ -96,7 +97,7 @@ class Hypothesis:
         return values
 
     def coordinates(self, values: dict[str, float]) -> np.ndarray:
-        """Coordinates u of parameters, shape (size,): magnitudes alone, zero for the others (inverse of `values`)."""
+        """Return coordinates u of parameters, shape (size,): of magnitudes the inverse of `values`, zero for others."""
         u = np.zeros(self.size)
         if self.polar:
             amplitude, phase = (q.name for q in self.free)
@@ -121,7 +122,7 @@ class Hypothesis:
         return low, high
 
     def at_bound(self, u: np.ndarray) -> bool:
-        """Whether a size sits at the end of what the cause's parameters can be."""
+        """Return whether a size is at the bound of the cause's parameters."""
         if self.polar:
             amplitude = self.free[0]
             return self.values(u)[amplitude.name] >= amplitude.bounds[1]
@@ -129,7 +130,7 @@ class Hypothesis:
         return bool(np.any((u[self.magnitudes] <= low + 1e-6) | (u[self.magnitudes] >= high - 1e-6)))
 
     def confine(self, u: np.ndarray) -> np.ndarray:
-        """Coordinates moved into their limits."""
+        """Return coordinates within their limits."""
         return np.clip(u, *self.limits)
 
     @property
@@ -138,8 +139,7 @@ class Hypothesis:
         return np.array([SPREAD if i in self.magnitudes else SHAPE_SPREAD for i in range(self.size)])
 
     def deviation(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
-        """Standard deviations of the free parameters, from the coordinates' covariance; at the end of a parameter's bounds as
-        inside."""
+        """Return standard deviations of the free parameters from the coordinates' covariance, at a bound as inside."""
         step = 1e-4
         at = self._unbounded(u)
         names = [q.name for q in self.free]
@@ -153,17 +153,19 @@ class Hypothesis:
 
 
 def hypotheses(cause: Cause, record: np.ndarray, present: dict[str, float] | None = None) -> list[Hypothesis]:
-    """Every hypothesis that a cause offers for a joint with this record: its orders, times where a search should start.
+    """Return every hypothesis of a cause for a joint with this record: its orders times its starting points.
 
     Args:
-      present: parameters of the same cause that the joint has already, if it does.
+      present: parameters of this cause in the joint's description, if it has them.
     """
     p = record[0]
     neutral = cause.present(p)
     if present is not None:
         again = record.copy()
         cause.apply(again[0], present)
-        if again.tobytes() == record.tobytes():  # the cause replaces what is there: the joint stays as it is at that
+        if (
+            again.tobytes() == record.tobytes()
+        ):  # the cause replaces its number: the joint does not change at these values
             neutral = dict(present)
         else:
             present = None

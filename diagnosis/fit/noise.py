@@ -1,29 +1,29 @@
-"""What a residual consists of when the model is right: sensor noise and model discrepancy; and the filter that makes it white.
+"""Noise of residuals when the model is right (sensor noise and model discrepancy), and the filter that whitens it.
 
 The residual of a balance in a segment is the sum of
 
-* *sensor noise*: what the stated noise of encoders, current and torque sensor leaves after smoothing and replay, an
-  autoregression fitted to noise replicates (`data.segments`);
-* *model discrepancy*: what the description can never hold. Ornstein–Uhlenbeck processes of fixed correlation times, one a
-  frequency band, whose variances are learned for each balance beside the parameters. A real joint has some in every band; a
-  joint that follows the laws has next to none. What lies within it decides neither between causes nor about parameters;
-* at rest, a slow disturbance: the encoder's quantisation, which does not average out without motion, and friction whose bristle
+* *sensor noise*: the stated noise of encoders, current and torque sensor after smoothing and replay; an autoregression fitted to
+  noise replicates (`data.segments`);
+* *model discrepancy*: errors of the laws. Ornstein–Uhlenbeck processes of fixed correlation times, one a frequency band, with
+  variances that are learned by balance together with the parameters. A real joint has some in every band;
+* at rest, a slow disturbance: encoder quantisation, which does not average out without motion, and friction, whose bristle
   depends on it.
 
-A Kalman filter of that sum turns residuals, and every column of a Jacobian alike, into innovations of unit variance (Kennedy &
-O'Hagan 2001 is the idea of a discrepancy that is learned; the state-space form makes it linear in the number of samples).
+A Kalman filter of that sum turns residuals, and every column of a Jacobian, into innovations of unit variance. The idea of a
+discrepancy that is learned is Kennedy & O'Hagan's (2001); the state-space form makes it linear in the number of samples.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numba.np.unsafe import ndarray
+from scipy.linalg import solve_toeplitz
 
 from ...models.kernels import kernel
 from ..data.segments import BALANCES, DECIMATION, STEP, Segment
@@ -33,29 +33,15 @@ INTERVAL = STEP * DECIMATION
 """Time between residuals [s]."""
 
 
-@dataclass(frozen=True)
-class NoiseSettings:
-    """How noise is modelled.
-
-    Attributes:
-      order: of the autoregression of sensor noise.
-      bands: correlation times of the model discrepancy [s]: from one residual to a few seconds, a factor of five apart.
-      rest_time: correlation time of the slow disturbance at rest [s].
-      scales: lengths of the Haar wavelets by which variances are learned, in residuals (half a wavelet): 8 ms to 4 s.
-      floor: least standard deviation of sensor noise, in the balance's unit.
-    """
-
-    order: int = 3
-    bands: tuple[float, ...] = (0.02, 0.1, 0.5, 2.5)
-    rest_time: float = 0.6
-    scales: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-    floor: float = 1e-6
-
-
-SETTINGS = NoiseSettings()
-EVEN = NoiseSettings(bands=SETTINGS.bands[:1])
-"""All model discrepancy in the fastest band: fits are least squares, and nothing slow is taken for discrepancy."""
-_ORDER, _BANDS = SETTINGS.order, len(SETTINGS.bands)
+BANDS = (0.02, 0.1, 0.5, 2.5)
+"""Correlation times of the model discrepancy [s]: from one residual to a few seconds, a factor of five apart."""
+EVEN = BANDS[:1]
+"""All model discrepancy in the fastest band: fits are least squares, and slow errors do not count as discrepancy."""
+REST_TIME = 0.6  # correlation time of the slow disturbance at rest [s]
+SCALES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+"""Lengths of the Haar wavelets by which variances are learned, in residuals (half a wavelet): 8 ms to 4 s."""
+FLOOR = 1e-6  # least standard deviation of sensor noise, in the balance's unit
+_ORDER, _BANDS = 3, len(BANDS)
 """Largest order of an autoregression and number of bands that are filtered, known to the compiler."""
 _fixed: Any = ndarray.to_fixed_tuple
 _SLOW = _BANDS + 1
@@ -63,7 +49,7 @@ _STATE = _ORDER + _SLOW
 _WIDTH = 8
 """Series that are filtered at once."""
 _STEADY = 3
-"""Samples in a row with the same gain after which a filter's covariance is taken for its steady one."""
+"""Samples in a row with the same gain after which a filter's covariance counts as steady."""
 _STATIONARY = 0.9999
 """Largest root of an autoregression that counts as stationary."""
 _ROBUST = 1.4826  # standard deviation of a normal distribution per median absolute deviation
@@ -84,19 +70,18 @@ class Noise:
 
     Attributes:
       sensors: by segment and balance.
-      discrepancy: standard deviation of the model discrepancy by balance and band, shape (len(BALANCES), bands), in the
-        balance's unit.
-      rest: standard deviation of the slow disturbance at rest by segment and balance, shape (segments, len(BALANCES)).
-      settings: of the model.
+      discrepancy: standard deviation of the model discrepancy, shape (len(BALANCES), bands), in the balance's unit.
+      rest: standard deviation of the slow disturbance at rest, shape (segments, len(BALANCES)).
+      bands: correlation times of the discrepancy [s].
     """
 
     sensors: tuple[tuple[AutoregressiveNoise, ...], ...]
     discrepancy: np.ndarray
     rest: np.ndarray
-    settings: NoiseSettings = field(default=SETTINGS, repr=False)
+    bands: tuple[float, ...] = BANDS
 
     def louder(self, factor: float) -> Noise:
-        """All of it so many times as large."""
+        """Return all of it times a factor."""
         sensors = tuple(tuple(replace(one, white=factor * one.white) for one in balances) for balances in self.sensors)
         return replace(self, sensors=sensors, discrepancy=factor * self.discrepancy, rest=factor * self.rest)
 
@@ -290,11 +275,8 @@ _PARTS = 3
 
 def whiten(segments: Sequence[Segment], noise: Noise, *series: Sequence[np.ndarray]) -> White:
     """Whiten up to `_PARTS` series side by side, each of shape (k, len(BALANCES), c) a segment, or without the last for one."""
-    s = noise.settings
-    decay = np.exp(-INTERVAL / np.array(s.bands))
-    rest_decay = float(np.exp(-INTERVAL / s.rest_time))
-
-    decay, no_band = _padded(decay, _BANDS), np.zeros(_BANDS)
+    decay = _padded(np.exp(-INTERVAL / np.array(noise.bands)), _BANDS)
+    rest_decay = float(np.exp(-INTERVAL / REST_TIME))
     parts = [[x if x.ndim == 3 else x[..., None] for x in one] for one in series]
     parts += [[x[..., :0] for x in parts[0]]] * (_PARTS - len(parts))
     lengths = [len(BALANCES) * len(one.at[:: one.block]) for one in segments]
@@ -310,10 +292,10 @@ def whiten(segments: Sequence[Segment], noise: Noise, *series: Sequence[np.ndarr
             if not segment.usable[:, b].any():
                 out[b] = 0.0
                 continue
-            sensor, bands = noise.sensors[index][b], no_band.copy()
-            bands[: len(s.bands)] = noise.discrepancy[b]
+            sensor = noise.sensors[index][b]
             total += _filter(
-                segment.usable[:, b], segment.at_rest, _padded(sensor.ar, _ORDER), sensor.white, bands, decay,
+                segment.usable[:, b], segment.at_rest, _padded(sensor.ar, _ORDER), sensor.white,
+                _padded(noise.discrepancy[b], _BANDS), decay,
                 float(noise.rest[index, b]), rest_decay, x, y, z, b, segment.block, out[b],
             )  # fmt: skip
         return total / segment.block
@@ -322,14 +304,14 @@ def whiten(segments: Sequence[Segment], noise: Noise, *series: Sequence[np.ndarr
 
 
 def _padded(x: np.ndarray, size: int) -> np.ndarray:
-    """A vector with zeros behind it, shape (size,): an autoregression of lower order, fewer bands."""
+    """Pad a vector with zeros to shape (size,)."""
     found = np.zeros(size)
     found[: len(x)] = x
     return found
 
 
 def rows_of(segments: Sequence[Segment]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Segment, balance and time [s] of every row of `whiten`, shape (total,) each."""
+    """Return segment, balance and time [s] of every row of `whiten`, shape (total,) each."""
     segment, balance, at = [], [], []
     for i, one in enumerate(segments):
         times = one.at[:: one.block]
@@ -343,12 +325,12 @@ def rows_of(segments: Sequence[Segment]) -> tuple[np.ndarray, np.ndarray, np.nda
 # --- learning the noise ----------------------------------------------------------------------------------------------
 
 
-def haar(x: np.ndarray, use: np.ndarray, scales: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean squares of the Haar wavelets of series x, shape (k, c), over samples that all count; and their numbers.
+def haar(x: np.ndarray, use: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean squares of the Haar wavelets of series x, shape (k, c), over samples in use; and their numbers.
 
-    A wavelet of scale L: mean of L samples less the mean of the L before. Returns shape (scales, c) and (scales,).
+    A wavelet of scale L: mean of L samples less the mean of the L before. Returns shape (len(SCALES), c) and (len(SCALES),).
     """
-    return _haar(np.where(use[:, None], x, 0.0), use, np.array(scales))
+    return _haar(np.where(use[:, None], x, 0.0), use, np.array(SCALES))
 
 
 @kernel
@@ -378,11 +360,11 @@ def _haar(x, use, scales):
 
 
 @cache
-def haar_of_band(time: float, scales: tuple[int, ...]) -> np.ndarray:
-    """Mean squares of the Haar wavelets of an Ornstein–Uhlenbeck process of unit variance, shape (scales,)."""
+def haar_of_band(time: float) -> np.ndarray:
+    """Mean squares of the Haar wavelets of an Ornstein–Uhlenbeck process of unit variance, shape (len(SCALES),)."""
     rho = np.exp(-INTERVAL / time)
     found = []
-    for scale in scales:
+    for scale in SCALES:
         lag = np.arange(-2 * scale + 1, 2 * scale)
         # Autocorrelation of the wavelet: a triangle of height 2 at zero, −1 at ±L, over L.
         weight = 2 * np.maximum(scale - np.abs(lag), 0) - np.maximum(scale - np.abs(np.abs(lag) - scale), 0)
@@ -393,10 +375,8 @@ def haar_of_band(time: float, scales: tuple[int, ...]) -> np.ndarray:
 Sensors = tuple[tuple[AutoregressiveNoise, ...], ...]
 
 
-def sensor_noise(
-    segments: Sequence[Segment], replicates: Sequence[np.ndarray], settings: NoiseSettings = SETTINGS
-) -> Sensors:
-    """Sensor noise by segment and balance, from what replicates add to the residuals, shape (k, len(BALANCES)) each."""
+def sensor_noise(segments: Sequence[Segment], replicates: Sequence[np.ndarray]) -> Sensors:
+    """Fit sensor noise by segment and balance to the replicates' part of the residuals, shape (k, len(BALANCES)) each."""
     found = []
     for segment, n in zip(segments, replicates, strict=True):
         balances = []
@@ -408,32 +388,24 @@ def sensor_noise(
             if use.sum() < 50:
                 use = segment.usable[:, b] | segment.held_out[:, b]
             if use.sum() < 20:
-                balances.append(AutoregressiveNoise(np.zeros(settings.order), 1.0))
+                balances.append(AutoregressiveNoise(np.zeros(_ORDER), 1.0))
                 continue
-            balances.append(_autoregression(n[:, b], use, settings))
+            balances.append(_autoregression(n[:, b], use))
         found.append(tuple(balances))
     return tuple(found)
 
 
-def _autoregression(x: np.ndarray, use: np.ndarray, settings: NoiseSettings) -> AutoregressiveNoise:
-    """Yule–Walker from the samples that count; clipped, so that no outlier decides."""
-    from scipy.linalg import solve_toeplitz
-
+def _autoregression(x: np.ndarray, use: np.ndarray) -> AutoregressiveNoise:
+    """Yule–Walker from the samples in use, outliers clipped."""
     limit = 4 * _ROBUST * float(np.median(np.abs(x[use])))
     y = np.where(use, np.clip(x, -limit, limit), 0.0)
-    gamma = np.empty(settings.order + 1)
-    for lag in range(settings.order + 1):
+    gamma = np.empty(_ORDER + 1)
+    for lag in range(_ORDER + 1):
         both = use[lag:] & use[: len(use) - lag]
         gamma[lag] = np.sum(y[lag:] * y[: len(y) - lag] * both) / max(both.sum(), 1)
-    gamma[0] = max(gamma[0], settings.floor**2)
-    companion = np.eye(settings.order, k=-1)
-    for ridge in (
-        1e-9,
-        1e-6,
-        1e-4,
-        1e-2,
-        1.0,
-    ):  # of few samples, autocovariances need not be those of any stationary process
+    gamma[0] = max(gamma[0], FLOOR**2)
+    companion = np.eye(_ORDER, k=-1)
+    for ridge in (1e-9, 1e-6, 1e-4, 1e-2, 1.0):  # few samples may have autocovariances of no stationary process
         companion[0] = ar = solve_toeplitz(np.r_[(1 + ridge) * gamma[0], gamma[1:-1]], gamma[1:])
         if np.max(np.abs(np.linalg.eigvals(companion))) < _STATIONARY:
             break
@@ -447,50 +419,50 @@ def learn(
     replicates: Sequence[np.ndarray],
     quantum: np.ndarray,
     spread: Sequence[np.ndarray] | None = None,
-    settings: NoiseSettings = SETTINGS,
+    bands: tuple[float, ...] = BANDS,
     sensors: Sensors | None = None,
     rest: np.ndarray | None = None,
 ) -> Noise:
-    """Learn noise and model discrepancy from what a model leaves: expectation–maximisation, its last step.
+    """Learn noise and model discrepancy from a model's residuals: the last step of expectation–maximisation.
 
     Args:
       residuals: shape (k, len(BALANCES)) a segment.
-      replicates: what another draw of the sensors' noise adds to them, likewise.
-      quantum: what the rotor encoder's quantisation rms leaves in each balance at rest, shape (len(BALANCES),).
-      spread: columns of what the residual may still be off as the parameters are uncertain, shape (k, len(BALANCES), m):
-        Jacobian times a root of the posterior covariance. Without it what the fit has taken away is not counted.
-      sensors: `sensor_noise` of the replicates, where it is known already.
-      rest: of the disturbance at rest, shape (segments, len(BALANCES)), where it is known already.
+      replicates: another noise draw's part of them, likewise.
+      quantum: rms of the rotor encoder's quantisation in each balance at rest, shape (len(BALANCES),).
+      spread: uncertainty of the residual from that of the parameters, shape (k, len(BALANCES), m) a segment: Jacobian times a
+        root of the posterior covariance; none by default.
+      bands: correlation times of the discrepancy [s].
+      sensors: `sensor_noise` of the replicates, if known.
+      rest: disturbance at rest, shape (segments, len(BALANCES)), if known.
     """
-    sensors = sensor_noise(segments, replicates, settings) if sensors is None else sensors
-    scales = settings.scales
-    shapes = np.stack([haar_of_band(t, scales) for t in settings.bands], axis=1)
-    discrepancy = np.zeros((len(BALANCES), len(settings.bands)))
+    sensors = sensor_noise(segments, replicates) if sensors is None else sensors
+    shapes = np.stack([haar_of_band(t) for t in bands], axis=1)
+    discrepancy = np.zeros((len(BALANCES), len(bands)))
     for b in range(len(BALANCES)):
-        energy, known, number = np.zeros(len(scales)), np.zeros(len(scales)), np.zeros(len(scales))
+        energy, known, number = np.zeros((3, len(SCALES)))
         for i, segment in enumerate(segments):
             counted = segment.usable[:, b] | segment.held_out[:, b]
             use = counted & ~segment.at_rest
             if use.sum() < 8:
                 use = counted
             r = _clipped(residuals[i][:, b], use)
-            e, n = haar(np.column_stack([r, _clipped(replicates[i][:, b], use)]), use, scales)
+            e, n = haar(np.column_stack([r, _clipped(replicates[i][:, b], use)]), use)
             energy += n * e[:, 0]
             known += n * e[:, 1]
             number += n
             if spread is not None:
-                more, _ = haar(spread[i][:, b], use, scales)
+                more, _ = haar(spread[i][:, b], use)
                 energy += n * more.sum(axis=1)
         good = number > 0
         if good.any():
             variance = _variances(energy[good] / number[good], known[good] / number[good], number[good], shapes[good])
             discrepancy[b] = np.sqrt(variance)
     rest = _at_rest(segments, residuals, quantum) if rest is None else rest
-    return Noise(sensors, discrepancy, rest, settings)
+    return Noise(sensors, discrepancy, rest, bands)
 
 
 def _at_rest(segments: Sequence[Segment], residuals: Sequence[np.ndarray], quantum: np.ndarray) -> np.ndarray:
-    """Standard deviation of the disturbance at rest, shape (segments, len(BALANCES)): what is left beyond what motion leaves."""
+    """Standard deviation of the disturbance at rest, shape (segments, len(BALANCES)): residual at rest beyond that in motion."""
     rest = np.tile(np.asarray(quantum, float), (len(segments), 1))
     for i, segment in enumerate(segments):
         for b in range(len(BALANCES)):
@@ -504,7 +476,7 @@ def _at_rest(segments: Sequence[Segment], residuals: Sequence[np.ndarray], quant
 
 
 def _clipped(x: np.ndarray, use: np.ndarray) -> np.ndarray:
-    """A series without its outliers: beyond five deviations they count as five."""
+    """Clip a series at five robust standard deviations."""
     if not use.any():
         return x
     limit = 5 * _ROBUST * float(np.median(np.abs(x[use])))
@@ -512,9 +484,9 @@ def _clipped(x: np.ndarray, use: np.ndarray) -> np.ndarray:
 
 
 def _variances(energy: np.ndarray, known: np.ndarray, number: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Variances v ≥ 0, shape (bands,), that make mean squares `energy` most likely: known + shapes·v, χ² of `number`.
+    """Return variances v ≥ 0, shape (bands,), with the largest likelihood of mean squares known + shapes·v, χ² of `number`.
 
-    Multiplicative steps of the Gamma likelihood (Itakura–Saito): they stay positive and never make it less likely.
+    Multiplicative steps of the Gamma likelihood (Itakura–Saito) stay positive and never lower it.
     """
     known = np.maximum(known, 1e-18)
     v = np.full(shapes.shape[1], max(float(np.mean(np.maximum(energy - known, 0.0))), 1e-18))
@@ -524,7 +496,7 @@ def _variances(energy: np.ndarray, known: np.ndarray, number: np.ndarray, shapes
 
 @kernel
 def _likeliest(energy, known, number, shapes, v):
-    """Let variances v take at most 200 multiplicative steps."""
+    """Take at most 200 multiplicative steps of variances v, in place."""
     n, m = shapes.shape
     up, down = np.zeros(m), np.zeros(m)
     for _ in range(200):
@@ -547,7 +519,7 @@ def _likeliest(energy, known, number, shapes, v):
 
 
 def normalised_rms(segments: Sequence[Segment], noise: Noise, residuals: Sequence[np.ndarray]) -> float:
-    """Root mean square of whitened residuals, outliers clipped: one when the noise is right."""
+    """RMS of whitened residuals, outliers clipped: one when the noise is right."""
     r = whiten(segments, noise, residuals).rows[:, 0]
     r = r[r != 0]
     if not len(r):

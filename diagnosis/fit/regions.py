@@ -1,8 +1,8 @@
-"""What an extended joint is worth where its fit has not been: regions of a measurement, each kept from a fit of its own.
+"""Error of an extended joint outside the data of its fit: regions of a measurement, each held out of a fit of its own.
 
-Interleaved blocks of time are held out of every fit, but they lie between blocks that were seen. The ends of the range of angle,
-speed and load, and whole recordings, are the rehearsal for motions that nobody measured: for each, the parameters are found
-again without it (in the linear model about the fit, exact to first order) and judged on it, beside the description as it came.
+Held-out blocks of time lie between blocks that were fitted. The ends of the range of angle, speed and load, and whole recordings,
+show what happens on other motions: for each the parameters are found again without it (in the linear model about the fit, exact
+to first order), and compared there with the description.
 """
 
 from __future__ import annotations
@@ -15,33 +15,16 @@ import numpy as np
 
 from ...models.joint_parts import ValidRange
 from ..data.segments import BALANCES
-from . import tare
+from . import encoder_zero
 from .noise import learn, whiten
 from .residual import Problem
-from .solver import SETTINGS as SOLVER
 from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_weight
 
-
-@dataclass(frozen=True)
-class RegionSettings:
-    """Which regions are held out.
-
-    Attributes:
-      end: share of the samples that lie at an end of a range.
-      fewest: samples in motion that a region must have.
-      worse: ratio of RMS errors, extended without the region over described, from which on the extension is worse there.
-      most: such a ratio beyond which an extension is not written, whatever it gains elsewhere.
-      shares: of the way from the description to the fit that are tried.
-    """
-
-    end: float = 0.2
-    fewest: int = 20
-    worse: float = 1.05
-    most: float = 2.0
-    shares: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.0)
-
-
-SETTINGS = RegionSettings()
+END = 0.2  # share of the samples at an end of a range
+FEWEST = 20  # samples in motion that a region must have
+WORSE = 1.05  # ratio of errors from which a joint is worse than another
+MOST = 2.0  # largest ratio of RMS errors in a region, extended without it over described, of a joint that is written
+SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)  # of the way from the description to the fit that are tried
 
 
 @dataclass(frozen=True)
@@ -49,12 +32,10 @@ class Region:
     """One region of a measurement.
 
     Attributes:
-      name: for people. recordings: whether it is a whole recording.
+      name: in words; recordings: whether it is a whole recording.
       samples: residuals in motion in it.
-      described: RMS of the simulation's error there with the description as it came, the link encoder's zero tared [N·m at the
-        output].
-      extended: with the extended joint, whose fit has seen the region.
-      unseen: with the extended joint fitted without the region.
+      described: RMS of the simulation error with the zeroed description [N·m at the output].
+      extended: the same with the extended joint; unseen: with the extended joint fitted without the region.
       ratio: of `unseen` to `described`, with the sensors' noise in both.
     """
 
@@ -68,43 +49,41 @@ class Region:
 
     @property
     def worse(self) -> bool:
-        """Whether the extension does worse there than the description, had it not seen the region."""
-        return self.ratio > SETTINGS.worse
+        """Whether the extension fitted without the region is worse there than the description."""
+        return self.ratio > WORSE
 
     def to_json(self) -> dict[str, Any]:
-        """As plain data."""
+        """Return plain data."""
         return {
             "region": self.name, "samples": self.samples, "described": self.described, "extended": self.extended,
             "unseen": self.unseen, "ratio": self.ratio, "worse": self.worse, "unit": "N·m",
         }  # fmt: skip
 
 
-def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[str, list[np.ndarray]]:
-    """Residuals of every region by segment: ends of angle, speed, load and time, whole recordings.
-
-    Not the directions of motion: either both were seen, and no motion lies beyond them, or one alone.
-    """
+def region_masks(problem: Problem) -> dict[str, list[np.ndarray]]:
+    """Return the residuals of every region by segment: ends of angle, speed, load and time, whole recordings."""
     segments = problem.segments
 
     def end(values: list[np.ndarray], high: bool) -> list[np.ndarray]:
         moving = np.concatenate([x[s.usable.any(axis=1) & ~s.at_rest] for x, s in zip(values, segments, strict=True)])
         if not len(moving) or np.ptp(moving) < 1e-9:
             return [np.zeros(len(x), bool) for x in values]
-        limit = np.quantile(moving, 1 - settings.end if high else settings.end)
+        limit = np.quantile(moving, 1 - END if high else END)
         return [x > limit if high else x < limit for x in values]
 
     angle = [s.link_position for s in segments]
     speed = [np.abs(s.motor_velocity) for s in segments]
     load = [s.load for s in segments]
+    time = [s.at for s in segments]
     found = {
         "the smallest angles": end(angle, False),
         "the largest angles": end(angle, True),
         "the highest speeds": end(speed, True),
         "the smallest loads": end(load, False),
         "the largest loads": end(load, True),
+        "the earliest samples": end(time, False),
+        "the latest samples": end(time, True),
     }
-    time = [s.at for s in segments]
-    found |= {"the earliest samples": end(time, False), "the latest samples": end(time, True)}
     names = sorted({s.name for s in segments})
     if len(names) > 1:
         for name in names:
@@ -113,15 +92,15 @@ def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[
 
 
 @dataclass(frozen=True)
-class DrawnBack:
-    """A fit drawn back towards the description.
+class Shrunk:
+    """A fit that was shrunk towards the description.
 
     Attributes:
-      share: of the way to the fit that is left.
-      fit: there; what is not known of it is wider by the way back.
+      share: of the way from the description to the fit.
+      fit: there; its covariance includes the rest of the way.
       regions: with it.
-      refused: whether a larger share, with which no region is worse, does not serve.
-      worst: region in which the whole fit does worst, where that is why it is drawn back.
+      refused: whether a larger share, with which no region is worse, was not accepted.
+      worst: region in which the whole fit is worst, if that is why it was shrunk.
     """
 
     share: float
@@ -131,22 +110,19 @@ class DrawnBack:
     worst: Region | None = None
 
 
-def drawn_back(
-    problem: Problem,
-    f: Fit,
-    settings: RegionSettings = SETTINGS,
-    serves: Callable[[Fit], bool] = lambda f: True,
-) -> DrawnBack:
-    """The fit drawn back towards the description as far as leaves least of regions that it has not seen, and serves.
+def shrunk(problem: Problem, f: Fit, accepts: Callable[[Fit], bool]) -> Shrunk:
+    """Shrink a fit towards the description to the least error in held-out regions, the sum of their mean squares [N·m]².
 
-    What is left is the sum of the regions' mean squares [N·m]²; a fit that makes one of them `most` times worse than the
-    description is not written, whatever it gains elsewhere.
+    A fit that makes one region `MOST` times worse than the description is not written.
+
+    Args:
+      accepts: a further condition; the next best share is tried where it is false.
     """
     system = NormalEquations(problem, f)
     start = problem.start(None, f.model)
-    start[problem.zeros] = f.theta[problem.zeros]  # of two encoders against each other nothing is described
-    before = tare.described(problem)
-    seen = held_out_regions(problem, f, settings, system, described=before)
+    start[problem.zeros] = f.theta[problem.zeros]  # the description does not specify zeros
+    before = encoder_zero.described(problem)
+    seen = held_out_regions(problem, f, system, described=before)
     worst = next((r for r in seen if r.worse), None)
 
     def part(share: float) -> tuple[Fit, tuple[Region, ...]]:
@@ -155,65 +131,60 @@ def drawn_back(
         theta = start + share * (f.theta - start)
         residual = problem.residuals([theta], [f.model])[0]
         away = f.theta - theta
-        # By how much it is not what the data say is not known of it, and what it leaves is what it cannot hold.
+        # The distance from the data's optimum is uncertainty, and the larger residual is discrepancy.
         covariance = f.covariance + np.outer(away, away)
         at = replace(
-            f, theta=theta, point=Point(residual, f.point.noise), covariance=covariance, least=covariance,
-            noise=learn(problem.segments, residual, f.point.noise, problem.quantum(), None, f.noise.settings),
+            f, theta=theta, point=Point(residual, f.point.noise), covariance=covariance, least_covariance=covariance,
+            noise=learn(problem.segments, residual, f.point.noise, problem.quantum(), None, f.noise.bands),
         )  # fmt: skip
-        return at, held_out_regions(problem, at, settings, system, share, before)
+        return at, held_out_regions(problem, at, system, share, before)
 
-    shares = list(settings.shares) if seen else [0.0]  # what nothing can be held against is not written
+    shares = list(SHARES) if seen else [0.0]  # without a held-out region nothing is written
     if worst is not None:
         regions = {share: part(share)[1] for share in shares}
-        harmless = [s for s in shares if s == 0.0 or all(r.ratio <= settings.most for r in regions[s])]
+        harmless = [s for s in shares if s == 0.0 or all(r.ratio <= MOST for r in regions[s])]
         shares = sorted(harmless, key=lambda s: sum(r.unseen**2 for r in regions[s]))
     refused = False
     for share in shares:
         at, found = part(share)
-        if share == 0.0 or serves(at):
+        if share == 0.0 or accepts(at):
             break
         refused = True
-    return DrawnBack(share, at, found, refused, worst)
+    return Shrunk(share, at, found, refused, worst)
 
 
 def held_out_regions(
     problem: Problem,
     f: Fit,
-    settings: RegionSettings = SETTINGS,
     system: NormalEquations | None = None,
     share: float = 1.0,
     described: Columns | None = None,
 ) -> tuple[Region, ...]:
-    """Every region, the one where the extension is worth least first.
+    """Return every region, the one with the largest ratio first.
 
     Args:
       system: normal equations about the fit of which `f` is a `share` of the way from the description.
-      described: residuals of the joint as it is described, where they are known already.
+      described: residuals of the zeroed description, if they are known.
     """
     system = NormalEquations(problem, f) if system is None else system
-    described = tare.described(problem) if described is None else described
+    described = encoder_zero.described(problem) if described is None else described
     scale = problem.output_scale
     found = []
-    for name, masks in region_masks(problem, settings).items():
+    for name, masks in region_masks(problem).items():
         use = [
             (s.usable | s.held_out) & ~s.at_rest[:, None] & mask[:, None]
             for s, mask in zip(problem.segments, masks, strict=True)
         ]
         samples = int(sum(u.any(axis=1).sum() for u in use))
-        rest = int(
-            sum(
-                ((s.usable & ~s.at_rest[:, None]).any(axis=1) & ~m).sum()
-                for s, m in zip(problem.segments, masks, strict=True)
-            )
-        )
-        if samples < settings.fewest or rest < settings.fewest:
+        moving = [(s.usable & ~s.at_rest[:, None]).any(axis=1) for s in problem.segments]
+        rest = int(sum((x & ~m).sum() for x, m in zip(moving, masks, strict=True)))
+        if samples < FEWEST or rest < FEWEST:
             continue
         shift = system.without(masks)
         unseen = [r + share * (J @ shift) for r, J in zip(f.point.residual, f.jacobian, strict=True)]
         before, seen, after, noise = (_rms(x, use, scale) for x in (described, f.point.residual, unseen, f.point.noise))
         formed = np.isfinite(before)
-        # Where both are noise, neither is worse.
+        # The noise in both: where only noise is left, neither is worse.
         floor = np.nansum(noise**2)
         ratio = float(np.sqrt((np.nansum(after**2) + floor) / max(np.nansum(before**2) + floor, 1e-300)))
         described_rms, extended_rms, unseen_rms = (
@@ -235,14 +206,12 @@ def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndar
 
 
 class NormalEquations:
-    """The normal equations about a fit, from which rows may be taken."""
+    """Normal equations about a fit, for solutions without some of their rows."""
 
     def __init__(self, problem: Problem, f: Fit):
         self.problem, self.f = problem, f
         rows = whiten(problem.segments, f.noise, f.point.residual, f.jacobian).rows
-        weight = huber_weight(rows[:, 0], SOLVER.huber) * leverage_weight(
-            rows[:, 1 : problem.size + 1], SOLVER.leverage
-        )
+        weight = huber_weight(rows[:, 0]) * leverage_weight(rows[:, 1 : problem.size + 1])
         self.rows = rows * np.sqrt(weight)[:, None]
         self.precision = 1 / problem.spread(f.model) ** 2
         low, high = problem.bounds(f.model)
@@ -256,7 +225,7 @@ class NormalEquations:
         return bounded_step(H, g, self.low, self.high)
 
     def without(self, masks: list[np.ndarray]) -> np.ndarray:
-        """By how much the unknowns move, shape (n,), where the residuals of a region are not seen."""
+        """Return the shift of the unknowns, shape (n,), if a region is held out."""
         inside = []
         for segment, mask in zip(self.problem.segments, masks, strict=True):
             starts = np.arange(0, len(mask), segment.block)
@@ -267,7 +236,7 @@ class NormalEquations:
 
 
 def valid_range(problem: Problem, kept: Sequence[np.ndarray] | None = None) -> ValidRange | None:
-    """Where the data that count have been (of `kept`, residuals by segment, shape (k,), alone); None where nothing moved."""
+    """Return the range of the data (of `kept` residuals by segment, shape (k,)); None without data."""
     angle, speed, load, drives = [], [], [], []
     for i, s in enumerate(problem.segments):
         use = s.usable.any(axis=1) & (True if kept is None else kept[i])

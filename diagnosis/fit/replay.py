@@ -1,23 +1,22 @@
-"""Replay of measured motion: what the sensors should have read while the joint moved as it did.
+"""Replay of measured motion: sensor readings that a joint predicts for the motion that it made.
 
-Both ends of the joint are driven by their *measured* motion, rotor and link; what is simulated is only what lies
-between and is not measured: the wave generator, the friction's bristle and the flexspline's Dahl state. Hence
+Both ends of the joint, rotor and link, follow their *measured* motion. Only what lies between and is not measured is simulated:
+the wave generator, the friction's bristle and the flexspline's Dahl state. The predictions are
 
     motor current   (Jm θm'' + bm θm' + Tw − cogging)/Kt, as the current sensor would read it,
     joint torque    Tf − bl θl', as the torque sensor would read it,
-    link balance    Ts + link torques + τext − Jl θl'', zero when the link's description is right; where the torque is
-                    measured, its reading stands for Ts and the rest as that sensor would read it.
+    link balance    Ts + link torques + τext − Jl θl'', zero for a correct description of the link; with a torque sensor its
+                    reading replaces Ts, and the rest is as that sensor would read it.
 
-Nothing drifts, since both ends are tied to the data, and a push of unknown size on the link does no harm: it enters the
-link balance alone, which is then left out. With one encoder the rotor is driven and the link is simulated with the
-rest (where that encoder is the link's, a torque sensor is held against the motion that it read): the current then says what
-rotor and link together need, and what a kinematic error does passes through the joint's own resonance. The motion is
-reconstructed from the encoders' readings with the parameters of the encoders (zero, delay, eccentricity) in the record. It
-has been smoothed, and so have current and torque: what is linear does not mind, and of the orders of motor and gear the replay
-has what the smoother leaves of them at that speed.
+Nothing drifts, since both ends are tied to the data. An unmeasured push on the link enters the link balance alone, which is then
+left out. With one encoder the rotor follows it and the link is simulated. If that encoder is the link's, a torque sensor is
+compared with the motion that it read. The current then shows the sum of rotor and link, and a kinematic error passes through the
+joint's own resonance. The motion is reconstructed from the encoders' readings with their zero, delay and eccentricity in the
+record. It is smoothed, as are current and torque: linear laws are not affected, and orders of motor and gear are attenuated as by
+the smoother at that speed.
 
-The equations are those of `models.dynamics`; here is only how they are stepped: with pulsation Ω and step h a linear transmission
-has its inertia to (Ωh)²/6 and its dampings to (Ωh)²/8, whatever its stiffness.
+The equations are those of `models.dynamics`; this module steps them. With pulsation Ω and step h a linear transmission has its
+inertia to (Ωh)²/6 and its dampings to (Ωh)²/8, whatever its stiffness.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,7 +51,7 @@ INNER = np.dtype(
         )
     ]
 )  # fmt: skip
-"""What the replay knows of every step inside the joint: motion of both ends as corrected, and what lies between."""
+"""State of the joint at every step: corrected motion of both ends, and the simulated part between them."""
 MOVING = np.dtype(
     [
         (name, np.float64)
@@ -62,19 +61,18 @@ MOVING = np.dtype(
         )
     ]
 )  # fmt: skip
-"""What one step of the transmission takes from the one before."""
+"""State of the transmission between steps."""
 SWINGING = np.dtype([(name, np.float64) for name in ("position", "velocity", "link_acceleration")])
-"""Likewise of the part that hangs on the link by a spring, where the link's motion is measured."""
+"""The same of a mass on the link behind a spring, where the link's motion is measured."""
 _INNER, _MOVING, _SWINGING = (dtype.itemsize // 8 for dtype in (INNER, MOVING, SWINGING))
 _BLOCK = 64
-"""Steps that are replayed before they are read out: as many as stay in a processor's nearest memory."""
+"""Steps that are replayed before they are read out: as many as fit into a processor's first cache."""
 _LEAD = 100
-"""Steps before the first in which a joint that begins in motion comes from where it begins to go to: friction slides then, and
-what is simulated has settled."""
+"""Steps before the first of a joint that begins in motion, in which friction begins to slide and the simulation settles."""
 _SLOPE = 40
-"""Steps over whose velocity the acceleration in these is taken."""
+"""Steps over which the acceleration in these is taken."""
 _LEAD_TRAVEL = 0.1
-"""Travel of the rotor in these [rad], below which it is taken to have rested: friction's sign is not known."""
+"""Travel of the rotor in these [rad] below which it counts as resting: the sign of friction is not known."""
 
 READ_OUT = (
     "Jm", "Kt", "Kt_drive", "bm", "R", "L", "supply_voltage", "current_limit", "bl", "Jl", "Mg", "gravity_angle",
@@ -82,12 +80,34 @@ READ_OUT = (
     "stop_stiffness", "link_friction", "link_damping", "arm_scale", "flexible_share", "flexible_frequency",
     "flexible_damping", "current_offset", "torque_gain", "torque_offset", "torque_rate",
 )  # fmt: skip
-"""Numbers that change what the sensors read, but nothing inside a transmission whose both ends move as measured."""
+"""Numbers that change sensor readings, but nothing inside a transmission with both ends measured."""
 _LINK_NUMBERS = (
     "bl", "Jl", "Mg", "gravity_angle", "cable_stiffness", "cable_rest", "stop_angle", "stop_stiffness", "link_friction",
     "link_damping", "arm_scale", "flexible_share", "flexible_frequency", "flexible_damping",
 )  # fmt: skip
-"""Of these, numbers that do change it where the link's motion is simulated."""
+"""Those of them that change it where the link's motion is simulated."""
+
+
+class Inputs(NamedTuple):
+    """Measured motion of a segment and settings of its replay.
+
+    `measured`: whether the link's motion is; `weighed`: whether the link's balance uses its encoder's motion. `external`: known
+    torque on the link [N·m], and its part from other links of an arm, shape (n, 2). `step` [s]; means are over `every` steps.
+    """
+
+    time: np.ndarray
+    temperature: np.ndarray
+    rotor: np.ndarray
+    link: np.ndarray
+    torque: np.ndarray
+    measured: bool
+    weighed: bool
+    external: np.ndarray
+    stiffness: float
+    passband: Any
+    step: float
+    every: int
+    window: np.ndarray
 
 
 @kernel
@@ -125,7 +145,7 @@ def _known_torque(external, i, p):
 
 @kernel
 def _under_load(m, l, v, a, external, time, temperature, p):
-    """Link's angle under its own load and what friction winds up, near an angle l, at which the rotor stands at m."""
+    """Link's angle under its own load and wound-up friction, near an angle l, for the rotor at m."""
     for _ in range(3):
         found, _, _ = dynamics.steady_motion(l, v / p.N, a / p.N, external, time, temperature, p)
         l = l + (m - found) / p.N
@@ -162,25 +182,11 @@ def _equilibrium(m, l, p):
 
 
 @kernel
-def _transmission(
-    p,
-    time,
-    temperature,
-    rotor,
-    link,
-    measured,
-    external,
-    passband,
-    h,
-    begin,
-    end,
-    moving,
-    inner,
-):
-    """Move what is not measured through the steps from `begin` on; fills `inner`, records of `INNER`. False: runaway.
-
-    `moving`, a record of `MOVING`: where it came to before, and where it comes to.
-    """
+def _transmission(p, given, begin, end, moving, inner):
+    """Simulate the steps from `begin` to `end` into `inner`, records of `INNER`, from and to `moving`, a record of `MOVING`.
+    False: runaway."""
+    time, temperature, rotor, link, external = given.time, given.temperature, given.rotor, given.link, given.external
+    measured, passband, h = given.measured, given.passband, given.step
     shift = p.link_delay / h
     reach = laws.wave_generator_torsion(_STIFFEST * p.Kt * p.current_limit, p)
     rigid = p.Jl - laws.flexible_inertia(p)
@@ -216,8 +222,8 @@ def _transmission(
             theta_w = _equilibrium(m1, l1, p)
         else:
             # One linearly implicit midpoint step of the wave generator, and of the link where it is simulated. All angles in the
-            # middle are made in one way, or springs would see h²/8 of an acceleration: `bent` of the way from the mean of both
-            # ends to the cubic; the whole of it where nothing is stiff, none where it would not be stable.
+            # middle are interpolated alike, or springs would see h²/8 of an acceleration: `bent` of the way from the mean of both
+            # ends to the cubic; all of it where nothing is stiff, none where it would be unstable.
             vm = 0.5 * (vm0 + vm1)
             if measured:
                 bent = max(1.0 - h * h * stiffness / (8.0 * p.Jw), 0.0)
@@ -299,33 +305,24 @@ def _transmission(
 
 
 @kernel
-def _readings(
-    p,
-    time,
-    temperature,
-    link,
-    torque,
-    measured,
-    weighed,
-    external,
-    stiffness,
-    passband,
-    h,
-    every,
-    window,
-    begin,
-    end,
-    inner,
-    swinging,
-    out,
-):
-    """Window-weighted sums of current reading, torque reading and link balance over the steps from `begin` on, added to out,
-    shape (k, len(BALANCES)).
+def _state(s, link_position, link_velocity, current, time, temperature):
+    """State of the joint from a record of `INNER` and a motion of the link."""
+    return State(
+        s.motor_position, s.motor_velocity, s.wave_generator_position, s.wave_generator_velocity, link_position,
+        link_velocity, s.bristle, s.dahl, current, time, temperature,
+    )  # fmt: skip
 
-    Where the link's motion is measured, the part that hangs on it by a spring moves here: it does nothing inside. `swinging`, a
-    record of `SWINGING`: where it came to before, and where it comes to. `weighed`: the link's balance is of the motion that its
-    encoder has seen, though that of the rest is simulated.
+
+@kernel
+def _readings(p, given, begin, end, inner, swinging, out):
+    """Add window-weighted sums of current reading, torque reading and link balance from `begin` to `end` to out, shape
+    (k, len(BALANCES)).
+
+    Where the link's motion is measured, a mass behind a spring on the link is simulated here, from and to `swinging`, a record of
+    `SWINGING`: it has no effect inside.
     """
+    time, temperature, link, torque, external = given.time, given.temperature, given.link, given.torque, given.external
+    weighed, h, every, window = given.weighed, given.step, given.every, given.window
     shift = p.link_delay / h
     phi, phi_rate, before = swinging.position, swinging.velocity, swinging.link_acceleration
     has_torque = len(torque) > 0
@@ -333,25 +330,16 @@ def _readings(
     r = begin - k * every
     for i in range(begin, end):
         s = inner[i - begin]
-        state = State(
-            s.motor_position, s.motor_velocity, s.wave_generator_position, s.wave_generator_velocity, s.link_position,
-            s.link_velocity, s.bristle, s.dahl, 0.0, time[i], temperature[i],
-        )  # fmt: skip
-        on_rotor = dynamics.rotor_torque(state, s.wave_generator_torque, s.load, p, passband)
+        state = _state(s, s.link_position, s.link_velocity, 0.0, time[i], temperature[i])
+        on_rotor = dynamics.rotor_torque(state, s.wave_generator_torque, s.load, p, given.passband)
         current = (p.Jm * s.motor_acceleration - on_rotor) / p.Kt
-        state = State(
-            s.motor_position, s.motor_velocity, s.wave_generator_position, s.wave_generator_velocity, s.link_position,
-            s.link_velocity, s.bristle, s.dahl, current, time[i], temperature[i],
-        )  # fmt: skip
+        state = _state(s, s.link_position, s.link_velocity, current, time[i], temperature[i])
         Ts = s.flexspline_torque - p.bl * s.link_velocity
         acceleration = s.link_acceleration
-        if weighed and not measured:
+        if weighed and not given.measured:
             reading, velocity, acceleration = _between(link, i, shift, h)
             position = dynamics.actual_link_position(reading, s.motor_position, s.motor_velocity, time[i], p)
-            state = State(
-                s.motor_position, s.motor_velocity, s.wave_generator_position, s.wave_generator_velocity, position,
-                velocity, s.bristle, s.dahl, current, time[i], temperature[i],
-            )  # fmt: skip
+            state = _state(s, position, velocity, current, time[i], temperature[i])
         balance = dynamics.link_torque(state, s.load, p) + _known_torque(external, i, p)
         if not weighed:
             phi, phi_rate = s.flexible_position, s.flexible_velocity
@@ -360,12 +348,12 @@ def _readings(
             before = acceleration
         balance += laws.flexible_torque(phi, phi_rate, p)
         balance -= (p.Jl - laws.flexible_inertia(p)) * acceleration
-        # The link's balance as the torque sensor reads it: in these units its noise is the same at all parameters. Without one
-        # the noise is the torsion's, which the stiffness scales: at the described stiffness it stays the same.
+        # As the torque sensor reads it the link's balance has the same noise at all parameters. Without one the noise is the
+        # torsion's times the stiffness, and is scaled to the described stiffness.
         if has_torque:
             balance = torque[i] - dynamics.read_joint_torque(0.0, state, s.load, p) + p.torque_gain * balance
         else:
-            balance = (Ts + balance) * stiffness / (p.K1 + p.K2 + p.K3)
+            balance = (Ts + balance) * given.stiffness / (p.K1 + p.K2 + p.K3)
         read_current = dynamics.read_motor_current(state, s.load, p)
         read_torque = dynamics.read_joint_torque(Ts, state, s.load, p)
         u = window[r]
@@ -384,38 +372,14 @@ def _readings(
 
 
 @kernel
-def _replay(
-    p,
-    time,
-    temperature,
-    rotor,
-    link,
-    torque,
-    measured,
-    weighed,
-    external,
-    stiffness,
-    passband,
-    h,
-    every,
-    window,
-    moving,
-    inner,
-    swinging,
-    out,
-):
+def _replay(p, given, moving, inner, swinging, out):
     """Both of the above through a whole segment, as many steps at a time as there are records in `inner`. False: runaway."""
-    begin, n = 0, len(time)
+    begin, n = 0, len(given.time)
     while begin < n:
         end = min(begin + len(inner), n)
-        if not _transmission(
-            p, time, temperature, rotor, link, measured, external, passband, h, begin, end, moving, inner
-        ):
+        if not _transmission(p, given, begin, end, moving, inner):
             return False
-        _readings(
-            p, time, temperature, link, torque, measured, weighed, external, stiffness, passband, h, every, window, begin,
-            end, inner, swinging, out,
-        )  # fmt: skip
+        _readings(p, given, begin, end, inner, swinging, out)
         begin = end
     return True
 
@@ -424,32 +388,13 @@ _readings_table = dual_table(len(BALANCES))
 
 
 @kernel
-def _replay_dual(
-    record,
-    directions,
-    time,
-    temperature,
-    rotor,
-    link,
-    torque,
-    measured,
-    weighed,
-    external,
-    stiffness,
-    passband,
-    h,
-    every,
-    window,
-    out,
-    derivatives,
-):
+def _replay_dual(record, directions, given, out, derivatives):
     """The same for dual numbers: derivatives of `out`, shape (k, len(BALANCES), LANES), in directions of the record."""
     moving, moving_d = np.zeros(1, MOVING), np.zeros((1, _MOVING, LANES))
     swinging, swinging_d = np.zeros(1, SWINGING), np.zeros((1, _SWINGING, LANES))
     inner, inner_d = np.empty(_BLOCK, INNER), np.empty((_BLOCK, _INNER, LANES))
     return _replay(
-        dual_records(record, directions)[0], time, temperature, rotor, link, torque, measured, weighed, external,
-        stiffness, passband, h, every, window, dual_records(moving, moving_d)[0], dual_records(inner, inner_d),
+        dual_records(record, directions)[0], given, dual_records(moving, moving_d)[0], dual_records(inner, inner_d),
         dual_records(swinging, swinging_d)[0], _readings_table(out, derivatives),
     )  # fmt: skip
 
@@ -465,68 +410,47 @@ def _weights(count: int, n: int) -> np.ndarray:
     return found
 
 
-def _external(segment: Segment) -> np.ndarray:
-    """Known torque on the link [N·m] and the part of it that other links of an arm make, shape (n, 2)."""
-    return np.column_stack([segment.external, segment.arm])
-
-
-def _motion(segment: Segment) -> tuple[Any, ...]:
-    """Of a segment what moves inside the transmission depends on."""
-    return (
-        segment.time, segment.temperature, segment.rotor, segment.link, segment.link_measured, _external(segment),
-        segment.passband, STEP,
-    )  # fmt: skip
-
-
-def _sensed(segment: Segment, every: int, window: np.ndarray) -> tuple[Any, ...]:
-    """Of a segment what readings depend on."""
-    return (
-        segment.time, segment.temperature, segment.link, segment.torque, segment.link_measured, segment.weighed,
-        _external(segment), segment.stiffness, segment.passband, STEP, every, window,
-    )  # fmt: skip
-
-
-def _whole(segment: Segment) -> tuple[Any, ...]:
-    """Of a segment all that a replay depends on."""
-    return (
+def _inputs(segment: Segment, every: int = DECIMATION, window: np.ndarray = WINDOW) -> Inputs:
+    return Inputs(
         segment.time, segment.temperature, segment.rotor, segment.link, segment.torque, segment.link_measured,
-        segment.weighed, _external(segment), segment.stiffness, segment.passband, STEP, DECIMATION, WINDOW,
+        segment.weighed, np.column_stack([segment.external, segment.arm]), segment.stiffness, segment.passband, STEP,
+        every, window,
     )  # fmt: skip
 
 
 def transmission(segment: Segment, record: np.ndarray) -> np.ndarray:
-    """What moves between rotor and link, shape (n,), records of `INNER`; not a number where the record is beyond reason."""
+    """Simulate the motion between rotor and link, shape (n,), records of `INNER`; NaN for a runaway."""
     n = len(segment.time)
     inner, moving = np.empty(n, INNER), np.zeros(1, MOVING)
-    if not _transmission(record[0], *_motion(segment), 0, n, moving[0], inner):
+    if not _transmission(record[0], _inputs(segment), 0, n, moving[0], inner):
         inner.view(np.float64)[:] = np.nan
     return inner
 
 
 def replay(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None) -> np.ndarray:
-    """Predicted current reading [A], joint torque reading [N·m] and link balance [N·m], shape (k, len(BALANCES)).
+    """Predict current reading [A], joint torque reading [N·m] and link balance [N·m], shape (k, len(BALANCES)).
 
     Args:
-      inner: of `transmission` for a record that differs in numbers that only read out (`READ_OUT`).
+      inner: of `transmission` for a record that differs only in `READ_OUT`.
     """
     n, out, swinging = len(segment.time), np.zeros((len(segment.at), len(BALANCES))), np.zeros(1, SWINGING)
     good = True
     if inner is None:
         moving, block = np.zeros(1, MOVING), np.empty(_BLOCK, INNER)
-        good = _replay(record[0], *_whole(segment), moving[0], block, swinging[0], out)
+        good = _replay(record[0], _inputs(segment), moving[0], block, swinging[0], out)
     else:
-        _readings(record[0], *_sensed(segment, DECIMATION, WINDOW), 0, n, inner, swinging[0], out)
+        _readings(record[0], _inputs(segment), 0, n, inner, swinging[0], out)
     if not good:
         out[:] = np.nan
     return out / _weights(len(out), n)[:, None]
 
 
 def readings(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None) -> np.ndarray:
-    """What `replay` predicts at every one of its steps instead of means over them, shape (n, len(BALANCES))."""
+    """Predict as `replay` does, but at every step instead of means over them, shape (n, len(BALANCES))."""
     inner = transmission(segment, record) if inner is None else inner
     n, swinging = len(segment.time), np.zeros(1, SWINGING)
     out = np.zeros((n, len(BALANCES)))
-    _readings(record[0], *_sensed(segment, 1, np.ones(1)), 0, n, inner, swinging[0], out)
+    _readings(record[0], _inputs(segment, 1, np.ones(1)), 0, n, inner, swinging[0], out)
     return out
 
 
@@ -539,7 +463,7 @@ def residual(segment: Segment, record: np.ndarray, inner: np.ndarray | None = No
 
 
 def residuals(pairs: Sequence[tuple[Segment, np.ndarray]]) -> list[np.ndarray]:
-    """`residual` of many pairs in parallel; where records differ in what only reads out, what moves inside is shared."""
+    """`residual` of many pairs in parallel; records that differ only in `READ_OUT` share the simulation."""
     keys = [(id(segment), _inside(segment, record)) for segment, record in pairs]
     times = Counter(keys)
     shared = {key: pair for key, pair in zip(keys, pairs, strict=True) if times[key] > 1}
@@ -549,8 +473,7 @@ def residuals(pairs: Sequence[tuple[Segment, np.ndarray]]) -> list[np.ndarray]:
 
 
 def derivatives(trios: Sequence[tuple[Segment, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
-    """Derivatives of `residual` for segments and records, in directions of the record, in parallel: exact, of the replay as it
-    is computed (`models.dual`).
+    """Return exact derivatives of `residual` in directions of the record, in parallel (`models.dual`).
 
     Args:
       trios: segment, record, and derivatives of the record's numbers, shape (m, SIZE).
@@ -576,17 +499,17 @@ def _derivatives(segment: Segment, record: np.ndarray, directions: np.ndarray) -
     lanes[0, :, :m] = directions.T
     out = np.zeros((len(segment.at), len(BALANCES)))
     found = np.zeros((*out.shape, LANES))
-    if not _replay_dual(record, lanes, *_whole(segment), out, found):
+    if not _replay_dual(record, lanes, _inputs(segment), out, found):
         found[:] = np.nan
     sign = np.ones(len(BALANCES))
     sign[[CURRENT, TORQUE]] = -1.0
     sign[~segment.balances] = 0.0
-    with np.errstate(invalid="ignore", over="ignore"):  # what has grown without bound is judged by whoever asked
+    with np.errstate(invalid="ignore", over="ignore"):  # callers check for unbounded derivatives
         return found[..., :m] * (sign / _weights(len(out), len(segment.time))[:, None])[..., None]
 
 
 def _inside(segment: Segment, record: np.ndarray) -> bytes:
-    """All of a record that what moves inside the transmission depends on."""
+    """The part of a record that the transmission depends on."""
     copy = record.copy()
     for name in READ_OUT:
         if segment.link_measured or name not in _LINK_NUMBERS:

@@ -1,9 +1,9 @@
-"""What no known cause explains: a nonparametric model discrepancy, where it acts and on what it depends.
+"""Unknown effects: a nonparametric model discrepancy, where it acts and on what it depends.
 
-For every place in the joint (`models.parameters.PLACES`) and every variable (`VARIABLES`) a cubic spline is tried in the
-linear model about a fit, with all other unknowns free: on top of the causes that were found, and in place of some of them. The
-best few are fitted through the replay, coefficients and everything else together. The best of these is where the discrepancy
-sits and what it depends on; with its coefficients the joint is extended all the same.
+For every place in the joint (`models.parameters.PLACES`) and every variable (`VARIABLES`) a cubic spline is tried in the linear
+model about a fit, with all other unknowns free: in addition to the causes found, and in place of some of them. The best few are
+fitted through the replay, coefficients and everything else together. The best of these gives place and variable; the joint is
+extended by its coefficients.
 """
 
 from __future__ import annotations
@@ -17,91 +17,77 @@ from scipy.interpolate import BSpline
 
 from ...models.causes import put_discrepancy
 from ...models.dual import LANES
-from ...models.joint import Joint
 from ...models.joint_parts import Discrepancy
 from ...models.parameters import PLACES, VARIABLES
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from ..fit.residual import Model, Problem
-from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Columns, Fit, Fitter, huber_weight, leverage_weight
+from .contribution import alone, excess, made_by, noise_square
 from .posterior import ModelPosterior
 from .screen import plain_noise
-from .worth import alone, left_by, made_by, noise_of
 
-COMPONENT = {
-    "rotor": "motor", "mesh": "transmission", "flexspline": "transmission", "link": "link",
-    "joint_torque": "sensor", "link_position": "sensor", "motor_current": "sensor",
-}  # fmt: skip
-UNIT = {
-    "rotor": "N·m", "mesh": "N·m", "flexspline": "N·m", "link": "N·m",
-    "joint_torque": "N·m", "link_position": "rad", "motor_current": "A",
-}  # fmt: skip
-_USUAL = {
-    "link_position": ("link", "link_position"),
-    "motor_position": ("rotor",),
-    "motor_position_two_turns": ("flexspline", "link_position"),
-    "motor_velocity": ("mesh",),
-    "load": ("flexspline", "mesh", "joint_torque"),
-    "time": ("motor_current", "joint_torque"),
-    "direction_link_position": ("mesh",),
-}
-"""Where an effect of each variable usually sits: places that the same residual fits are told apart by that alone."""
-_SMALLEST_RANGE = {
-    "link_position": 0.02, "direction_link_position": 0.02, "motor_velocity": 1.0, "load": 0.1, "time": 1.0,
-}  # fmt: skip
-"""A variable that moved less than this has shown nothing."""
-_TURNS = {"motor_position": 2 * np.pi, "motor_position_two_turns": 4 * np.pi}
-_INSIDE = ("mesh", "flexspline", "link_position")
-"""Places inside the transmission: what acts there goes through the replay."""
-_SLOW = ("link_position", "motor_velocity", "time")
-"""Variables that change slowly beside the wave generator between measured ends: not what turns with the velocity, the rotor's
-angle, or load, which an effect there changes itself."""
+SMALLEST = 0.01
+"""RMS over the rated torque that an unknown effect must make, and that must be unexplained for one to be looked for in addition
+to the causes: every real joint has smaller ones."""
+MORE = 0.03  # part of what the causes explain (mean square) that must be unexplained for one to be tried in their place
+SHARE = 0.3  # of the unexplained mean square that it must remove
+THIN = 3  # every n-th residual is used at first
+REFINED = 3  # candidates that are fitted through the replay
+ALIKE = 0.002  # difference of shares below which two places of a variable have the same residual
 
 
 @dataclass(frozen=True)
-class DiscrepancySettings:
-    """How unknown effects are looked for.
+class _Place:
+    """A place in the joint: component, unit of an effect, prior standard deviation of a coefficient for a rated torque of 16 N·m,
+    words; `inside`: of the transmission, so that it acts through the replay."""
 
-    Attributes:
-      worth: root mean square, as a share of the rated torque, that one must make, and that must be left unexplained beyond the
-        noise for one to be looked for beside the causes: of what is less every real joint has a little.
-      more: part of what the causes explain (mean square) that must be left for one to be looked for in their place.
-      share: of the mean square that is left unexplained that one must remove to be named.
-      thin: every n-th residual is looked at first.
-      refined: candidates that are fitted through the replay.
-      alike: difference of their shares below which two places of a variable are the same residual.
-      knots: coefficients of a spline by variable.
-      scale: prior standard deviation of a coefficient by place, for a rated torque of 16 N·m.
-    """
-
-    worth: float = 0.01
-    more: float = 0.03
-    share: float = 0.3
-    thin: int = 3
-    refined: int = 3
-    alike: float = 0.002
-    knots: dict[str, int] = field(
-        default_factory=lambda: {
-            "link_position": 32, "motor_position": 24, "direction_link_position": 32, "motor_position_two_turns": 32,
-            "motor_velocity": 10, "load": 10, "time": 10,
-        }
-    )  # fmt: skip
-    scale: dict[str, float] = field(
-        default_factory=lambda: {
-            "rotor": 0.02, "mesh": 0.02, "flexspline": 2.0, "link": 3.0, "joint_torque": 0.6, "link_position": 5e-4,
-            "motor_current": 0.15,
-        }
-    )  # fmt: skip
+    component: str
+    unit: str
+    scale: float
+    words: str
+    inside: bool = False
 
 
-SETTINGS = DiscrepancySettings()
+PLACE = {
+    "rotor": _Place("motor", "N·m", 0.02, "a torque on the rotor"),
+    "mesh": _Place("transmission", "N·m", 0.02, "a friction torque in the mesh", inside=True),
+    "flexspline": _Place("transmission", "N·m", 2.0, "a flexspline torque", inside=True),
+    "link": _Place("link", "N·m", 3.0, "a torque on the link"),
+    "joint_torque": _Place("sensor", "N·m", 0.6, "an error of the torque sensor"),
+    "link_position": _Place("sensor", "rad", 5e-4, "an error of the link encoder", inside=True),
+    "motor_current": _Place("sensor", "A", 0.15, "an error of the current reading"),
+}
+
+
+@dataclass(frozen=True)
+class _Variable:
+    """A variable: coefficients of its spline, and the places where its effects usually sit, which decides between places with the
+    same residual. A variable that moved less than `least` shows nothing. `turn`: its period [rad]. `slow`: it changes slowly
+    against the wave generator, unlike the rotor's angle, and load, which an effect changes itself."""
+
+    knots: int
+    usual: tuple[str, ...]
+    least: float = 0.0
+    turn: float = 0.0
+    slow: bool = False
+
+
+VARIABLE = {
+    "link_position": _Variable(32, ("link", "link_position"), least=0.02, slow=True),
+    "motor_position": _Variable(24, ("rotor",), turn=2 * np.pi),
+    "motor_position_two_turns": _Variable(32, ("flexspline", "link_position"), turn=4 * np.pi),
+    "motor_velocity": _Variable(10, ("mesh",), least=1.0, slow=True),
+    "load": _Variable(10, ("flexspline", "mesh", "joint_torque"), least=0.1),
+    "time": _Variable(10, ("motor_current", "joint_torque"), least=1.0, slow=True),
+    "direction_link_position": _Variable(32, ("mesh",), least=0.02),
+}
 
 
 @dataclass(frozen=True)
 class Spline:
-    """A discrepancy as a fit sees it: its coefficients are its coordinates, in units of their prior standard deviation.
+    """A discrepancy in a fit: its coordinates are its coefficients in units of their prior standard deviation.
 
-    It stands in a model beside hypotheses of causes and has what a fit asks of them.
+    It has the interface of a hypothesis, and of its cause.
     """
 
     place: str
@@ -114,26 +100,23 @@ class Spline:
     fixed: dict[str, float] = field(default_factory=dict)
     alternatives: int = 1
 
+    name: ClassVar[str] = "unknown"
+    free: ClassVar[list] = []
+    adds: ClassVar[bool] = True
+    ripple: ClassVar[bool] = False
+    series: ClassVar[None] = None
+    scales: ClassVar[tuple] = ()
+    sets: ClassVar[dict[str, str]] = {}
+
     @property
     def cause(self) -> Spline:
-        """Itself: it applies its own values."""
+        """Itself."""
         return self
 
     @property
-    def name(self) -> str:
-        """As causes have one."""
-        return "unknown"
-
-    @property
     def key(self) -> tuple[Any, ...]:
-        """What tells it from hypotheses of causes."""
+        """Identity among hypotheses."""
         return (self.name, self.place, self.variable)
-
-    adds = True
-    ripple = False
-    series = None
-    scales = ()
-    sets: ClassVar[dict[str, str]] = {}
 
     @property
     def size(self) -> int:
@@ -146,22 +129,17 @@ class Spline:
         return list(range(self.count))
 
     @property
-    def free(self) -> list:
-        """It has no named parameters."""
-        return []
-
-    @property
     def spread(self) -> np.ndarray:
         """Prior standard deviation of each coordinate, shape (size,)."""
         return np.ones(self.count)
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates are free."""
+        """Smallest and largest coordinates, shape (size,) each."""
         return np.full(self.count, -1e3), np.full(self.count, 1e3)
 
     def values(self, u: np.ndarray) -> dict[str, np.ndarray]:
-        """Coefficients in the place's unit."""
+        """Return coefficients in the place's unit."""
         return {"coefficients": self.unit * np.asarray(u)}
 
     def apply(self, p: np.void, values: dict[str, np.ndarray]) -> None:
@@ -169,47 +147,52 @@ class Spline:
         put_discrepancy(p, self.place, self.variable, self.low, self.high, values["coefficients"])
 
     def basis(self, segment: Segment) -> np.ndarray:
-        """Values of the splines at a segment's residuals, shape (k, count)."""
-        x = _variable(self.variable, segment)
+        """Return values of the splines at a segment's residuals, shape (k, count)."""
+        x = _values(self.variable, segment)
         B = spline_basis((x - self.low) / (self.high - self.low), self.count)
         return B * np.tanh(segment.motor_velocity)[:, None] if self.variable.startswith("direction") else B
 
     def as_discrepancy(self, u: np.ndarray) -> Discrepancy:
-        """As a joint's description states it."""
+        """Return the entry of a joint's description."""
         return Discrepancy(
-            place=self.place, variable=self.variable, low=self.low, high=self.high, unit=UNIT[self.place],
+            place=self.place, variable=self.variable, low=self.low, high=self.high, unit=PLACE[self.place].unit,
             coefficients=[float(c) for c in self.values(u)["coefficients"]],
         )  # fmt: skip
 
-    def derivatives(self, problem: Problem, theta: np.ndarray, model: Model) -> Columns:
-        """Derivatives of the residuals in its coordinates, at a model without it or with it, shape (k, len(BALANCES), count) a
-        segment."""
-        return self.along(problem, theta, model, np.eye(self.count))
-
     def along(self, problem: Problem, theta: np.ndarray, model: Model, directions: np.ndarray) -> Columns:
-        """Likewise in directions of its coordinates, shape (m, count)."""
-        index = next((i for i, h in enumerate(model) if h is self), len(model))
-        if index == len(model):
-            theta, model = np.concatenate([theta, np.zeros(self.count)]), (*model, self)  # type: ignore[arg-type]
-        whole = np.zeros((len(directions), len(theta)))
-        whole[:, problem.place(model, index)] = directions
-        return problem.along(theta, model, whole)
+        """Return derivatives of the residuals in directions of its coordinates, shape (m, count), at a model without it."""
+        whole = np.zeros((len(directions), len(theta) + self.count))
+        whole[:, len(theta) :] = directions
+        return problem.along(np.concatenate([theta, np.zeros(self.count)]), (*model, self), whole)  # type: ignore[arg-type]
 
     @property
     def component(self) -> str:
-        """Component of the joint in which it sits. An angle error that returns with the motor is the gear's: no link encoder
-        knows the motor's angle."""
-        return "transmission" if self.kinematic else COMPONENT[self.place]
+        """Component of the joint; a kinematic error is the gear's: no link encoder knows the motor's angle."""
+        return "transmission" if self.kinematic else PLACE[self.place].component
 
     @property
     def usual(self) -> bool:
         """Whether effects of its variable usually sit there."""
-        return self.place in _USUAL[self.variable]
+        return self.place in VARIABLE[self.variable].usual
 
     @property
     def kinematic(self) -> bool:
         """Whether it is an angle error that returns with the motor."""
-        return self.place == "link_position" and self.variable in _TURNS
+        return self.place == "link_position" and VARIABLE[self.variable].turn > 0.0
+
+    def describe(self, u: np.ndarray) -> str:
+        """Describe the effect in words."""
+        curve = spline_basis(np.linspace(0.0, 1.0, 200), self.count) @ self.values(u)["coefficients"]
+        what = "a kinematic error" if self.kinematic else PLACE[self.place].words
+        variable = self.variable.replace("_two_turns", ", over two turns").replace("_", " ")
+        return f"{what} of {float(np.ptp(curve)):.2g} {PLACE[self.place].unit} that depends on {variable}"
+
+
+def depends_on(variable: str) -> tuple[str, ...]:
+    """Return the measured variables of a discrepancy's variable."""
+    if variable == "direction_link_position":
+        return ("link_position", "direction")
+    return (variable.removesuffix("_two_turns"),)
 
 
 def spline_basis(u: np.ndarray, count: int) -> np.ndarray:
@@ -219,20 +202,13 @@ def spline_basis(u: np.ndarray, count: int) -> np.ndarray:
     return BSpline.design_matrix(np.minimum(inside, 1.0 - 1e-12), knots, 3).toarray()
 
 
-def _variable(name: str, segment: Segment) -> np.ndarray:
-    if name in _TURNS:
-        return segment.motor_position % _TURNS[name]
-    return {
-        "link_position": segment.link_position, "direction_link_position": segment.link_position,
-        "motor_velocity": segment.motor_velocity, "time": segment.at, "load": segment.load,
-    }[name]  # fmt: skip
-
-
-def _range(name: str, problem: Problem) -> tuple[float, float]:
-    if name in _TURNS:
-        return 0.0, float(_TURNS[name])
-    values = np.concatenate([_variable(name, s) for s in problem.segments])
-    return float(values.min()), float(values.max())
+def _values(name: str, segment: Segment) -> np.ndarray:
+    """Values of a variable at a segment's residuals, shape (k,)."""
+    if turn := VARIABLE[name].turn:
+        return segment.motor_position % turn
+    if name == "time":
+        return segment.at
+    return getattr(segment, name.removeprefix("direction_"))
 
 
 @dataclass(frozen=True)
@@ -241,12 +217,10 @@ class Candidate:
 
     Attributes:
       spline: where it acts and on what it depends.
-      without: indices of the model's causes in whose place it stands.
-      more: part of what the causes explain (mean square) that must be left for one to be looked for in their place.
-      share: of the mean square of the residual, each balance over its own, that it takes away.
-      score: by which candidates are ranked: log likelihood under white noise as loud as the residual, with the priors of its
-        coefficients.
-      coordinates, shift: its coefficients, and the change of the unknowns that stay.
+      without: indices of the model's causes that it replaces.
+      share: of the mean square of the residual, each balance over its own, that it removes.
+      score: log likelihood under white noise as loud as the residual, with the priors of its coefficients.
+      coordinates, shift: its coefficients, and the change of the other unknowns.
     """
 
     spline: Spline
@@ -257,57 +231,39 @@ class Candidate:
     shift: np.ndarray
 
 
-@dataclass(frozen=True)
-class Unknown:
-    """An unknown effect that was found.
-
-    Attributes:
-      spline: where it acts and on what it depends.
-      fit: of the model with it as its last effect.
-      gain: log posterior over the best model of known causes.
-    """
-
-    spline: Spline
-    fit: Fit
-    gain: float
-
-    @property
-    def discrepancy(self) -> Discrepancy:
-        """As a joint's description states it."""
-        return self.spline.as_discrepancy(self.fit.theta[-self.spline.count :])
-
-
-def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[Spline]:
-    """Every place and variable that this measurement can show."""
-    rated = problem.joint.numbers["rated_torque"].value / 16.0
+def splines(problem: Problem) -> list[Spline]:
+    """Return a spline for every place and variable that this measurement can show."""
     numbers = problem.joint.numbers
+    rated = numbers["rated_torque"].value / 16.0
     found = []
     for variable in VARIABLES:
-        low, high = _range(variable, problem)
-        if not high - low > _SMALLEST_RANGE.get(variable, 0.0):
+        about = VARIABLE[variable]
+        values = [_values(variable, s) for s in problem.segments]
+        low = 0.0 if about.turn else float(min(x.min() for x in values))
+        high = about.turn or float(max(x.max() for x in values))
+        if not high - low > about.least:
             continue
         for place in PLACES[1:]:
             if place == "joint_torque" and not problem.has_torque:
                 continue
             if place in ("flexspline", "link_position") and not problem.link_measured:
                 continue
-            unit = settings.scale[place]
+            unit = PLACE[place].scale
             if place in ("rotor", "mesh"):
                 unit *= rated * 100 / numbers["N"].value
-            elif place == "motor_current":  # what the rotor's would draw, so that neither is favoured
-                unit = settings.scale["rotor"] * rated * 100 / numbers["N"].value / numbers["Kt"].value
+            elif place == "motor_current":  # the rotor's current, so that neither is favoured
+                unit = PLACE["rotor"].scale * rated * 100 / numbers["N"].value / numbers["Kt"].value
             elif place != "link_position":
                 unit *= rated
-            found.append(Spline(place, variable, low, high, settings.knots[variable], unit))
+            found.append(Spline(place, variable, low, high, about.knots, unit))
     return found
 
 
 class FirstLook:
-    """Derivatives of the residuals in splines' coordinates about a model, as exact as a first look needs.
+    """Approximate derivatives of the residuals in splines' coordinates about a model.
 
-    What only reads out is told in closed form, at the residuals' own times. Inside the transmission, what is slow beside it does
-    what the same effect would if it were constant; of the rest every eighth coordinate is moved at once, and what changes belongs
-    to the one that acts then or did shortly before. A fit has exact derivatives (`Spline.derivatives`).
+    Outside the transmission they have a closed form. Inside it, an effect of a slow variable acts as a constant one; for other
+    variables every eighth coordinate moves at once, and a change belongs to the one that acts then or shortly before.
     """
 
     def __init__(self, problem: Problem, theta: np.ndarray, model: Model):
@@ -315,10 +271,10 @@ class FirstLook:
         self._constant: dict[str, Columns] = {}
 
     def columns(self, spline: Spline) -> Columns:
-        """Of each segment, shape (k, len(BALANCES), count)."""
-        if spline.place not in _INSIDE:
+        """Return derivatives, shape (k, len(BALANCES), count) a segment."""
+        if not PLACE[spline.place].inside:
             return self._read_out(spline)
-        if spline.variable in _SLOW:
+        if VARIABLE[spline.variable].slow:
             constant = zip(self._of_constant(spline), self.problem.segments, strict=True)
             return [J * spline.basis(segment)[:, None, :] for J, segment in constant]
         return self._together(spline)
@@ -345,8 +301,7 @@ class FirstLook:
         return found
 
     def _of_constant(self, spline: Spline) -> Columns:
-        """Derivatives through the replay in an effect at the spline's place that is the same throughout, shape (k,
-        len(BALANCES), 1) a segment."""
+        """Derivatives through the replay in a constant effect at the spline's place, shape (k, len(BALANCES), 1) a segment."""
         if spline.place not in self._constant:
             even = replace(spline, variable="time", low=0.0, high=1.0, count=4)
             self._constant[spline.place] = even.along(self.problem, self.theta, self.model, np.ones((1, 4)))
@@ -359,7 +314,7 @@ class FirstLook:
         found = []
         moved = spline.along(self.problem, self.theta, self.model, sums)
         for segment, J in zip(self.problem.segments, moved, strict=True):
-            u = np.clip((_variable(spline.variable, segment) - spline.low) / (spline.high - spline.low), 0.0, 1.0)
+            u = np.clip((_values(spline.variable, segment) - spline.low) / (spline.high - spline.low), 0.0, 1.0)
             first = np.minimum((u * (spline.count - 3)).astype(int), spline.count - 4) - (n - 4) // 2
             whole = np.zeros((*J.shape[:2], spline.count))
             for lane in range(n):
@@ -371,17 +326,17 @@ class FirstLook:
 
 
 class _Plain:
-    """The linear model about a fit under white noise as loud as its residual, on every n-th sample."""
+    """The linear model about a fit under white noise as loud as its residual, on every `THIN`-th sample."""
 
-    def __init__(self, problem: Problem, at: Fit, thin: int):
-        self.problem, self.at, self.thin = problem, at, thin
+    def __init__(self, problem: Problem, at: Fit):
+        self.problem, self.at = problem, at
         noise = plain_noise(problem, at)
         self.rms = np.array([s.white for s in noise.sensors[0]])
         self.rows = self._rows(
             [np.concatenate([r[..., None], J], -1) for r, J in zip(at.point.residual, at.jacobian, strict=True)]
         )
-        weight = huber_weight(self.rows[:, 0], SOLVER.huber)
-        self.root = np.sqrt(weight * leverage_weight(self.rows[:, 1 : problem.size + 1], SOLVER.leverage))
+        weight = huber_weight(self.rows[:, 0])
+        self.root = np.sqrt(weight * leverage_weight(self.rows[:, 1 : problem.size + 1]))
         self.rows *= self.root[:, None]
         self.spread = problem.spread(at.model)
 
@@ -390,11 +345,11 @@ class _Plain:
         for segment, x in zip(self.problem.segments, columns, strict=True):
             for b in range(len(BALANCES)):
                 use = segment.usable[:, b] & ~segment.at_rest
-                found.append(x[use][:: self.thin, b] / self.rms[b])
+                found.append(x[use][::THIN, b] / self.rms[b])
         return np.concatenate(found)
 
     def candidate(self, spline: Spline, columns: Columns, without: tuple[int, ...]) -> Candidate:
-        """A spline in the place of some of the model's causes."""
+        """Return a spline in place of some of the model's causes."""
         problem, at = self.problem, self.at
         B = self._rows(columns) * self.root[:, None]
         r, kept = self.rows[:, 0], np.arange(len(at.theta))
@@ -418,76 +373,76 @@ class _Plain:
         return Candidate(spline, without, share, float(score), solution[n:], shift)
 
 
-def find(
-    fitter: Fitter, posterior: ModelPosterior, base: Fit, best: Fit, settings: DiscrepancySettings = SETTINGS
-) -> Unknown | None:
-    """The unknown effect that makes a joint more probable than the best model of known causes: beside these, or in the place of
-    the one that is worth most, of all of its component, or of all. None where there is none, or next to nothing is left.
+def find(fitter: Fitter, posterior: ModelPosterior, base: Fit, best: Fit) -> Fit | None:
+    """Fit the unknown effect that is more probable than the best model of known causes, as the last effect of its model.
+
+    It is tried in addition to these, and in place of the largest one, of all of its component, and of all. None if there is none,
+    or if the residual is small.
 
     Args:
       base: the calibrated joint without causes.
     """
     problem = fitter.problem
     rated = problem.joint.numbers["rated_torque"].value
-    left, least = left_by(problem, best), max((settings.worth * rated) ** 2, noise_of(problem, best))
-    explained = left_by(problem, base) - left
+    left, least = excess(problem, best), max((SMALLEST * rated) ** 2, noise_square(problem, best))
+    explained = excess(problem, base) - left
     full = not np.any(problem.records(best.theta, best.model)[0][0]["discrepancy_place"] == 0)
-    beside, instead = left > least, explained > least and left > settings.more * explained
-    drops = [without for without in _drops(problem, best) if (instead if without else beside)]
+    in_addition, instead = left > least, explained > least and left > MORE * explained
+    drops = [without for without in _drops(problem, best) if (instead if without else in_addition)]
     if full or not drops:
         return None
-    plain, look = _Plain(problem, best, settings.thin), FirstLook(problem, best.theta, best.model)
+    plain, look = _Plain(problem, best), FirstLook(problem, best.theta, best.model)
     tried: list[Candidate] = []
-    for spline in splines(problem, settings):
+    for spline in splines(problem):
         columns = look.columns(spline)
-        if all(np.isfinite(c).all() for c in columns):  # else beyond what the replay follows
+        if all(np.isfinite(c).all() for c in columns):  # else the replay does not follow it
             tried += [plain.candidate(spline, columns, without) for without in drops]
-    now, found = posterior.judge(best).score, list[Unknown]()
+    found = []
     for without in drops:
-        for candidate in _promising([c for c in tried if c.without == without], settings):
+        for candidate in _promising([c for c in tried if c.without == without]):
             f = _refined(fitter, best, candidate)
-            found.append(Unknown(candidate.spline, f, posterior.judge(f).score - now))
-    # The derivatives were taken far from where these end: the most probable are fitted once more with their own.
-    found.sort(key=lambda u: -u.gain)
-    for u in found[: settings.refined]:
-        f = fitter.fit(u.fit.model, u.fit.theta, None, 6, best)
-        found.append(replace(u, fit=f, gain=posterior.judge(f).score - now))
+            found.append((posterior.judge(f).score, f))
+    # The derivatives were taken far from these fits: the most probable are fitted again with their own.
+    found.sort(key=lambda x: -x[0])
+    for _, f in found[:REFINED]:
+        f = fitter.fit(f.model, f.theta, None, 6, best)
+        found.append((posterior.judge(f).score, f))
+    now = posterior.judge(best).score
     named = [
-        u for u in found
-        if u.gain > 0.0
-        and left - left_by(problem, u.fit) > settings.share * left
-        and made_by(problem, u.fit, u.fit, -1).sum() > (settings.worth * rated) ** 2
+        (score, f) for score, f in found
+        if score > now
+        and left - excess(problem, f) > SHARE * left
+        and made_by(problem, f, -1) > (SMALLEST * rated) ** 2
     ]  # fmt: skip
-    return max(named, key=lambda u: u.gain, default=None)
+    return max(named, key=lambda x: x[0])[1] if named else None
 
 
-def _promising(candidates: Sequence[Candidate], settings: DiscrepancySettings) -> list[Candidate]:
-    """Those that look best in the linear model; of places that are the same residual the usual one."""
+def _promising(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return the best in the linear model; of places with the same residual the usual one."""
     found: list[Candidate] = []
     for c in sorted(candidates, key=lambda c: -c.score):
-        same = [f for f in found if f.spline.variable == c.spline.variable and abs(f.share - c.share) < settings.alike]
+        same = [f for f in found if f.spline.variable == c.spline.variable and abs(f.share - c.share) < ALIKE]
         if not same:
             found.append(c)
         elif c.spline.usual and not same[0].spline.usual:
             found[found.index(same[0])] = c
-        if len(found) > settings.refined:
+        if len(found) > REFINED:
             break
-    return found[: settings.refined]
+    return found[:REFINED]
 
 
 def _drops(problem: Problem, best: Fit) -> list[tuple[int, ...]]:
-    """Sets of causes in whose place an unknown effect may stand: none, the one that is worth most, all of its component, all."""
+    """Sets of causes that an unknown effect may replace: none, the largest one, all of its component, all."""
     if not best.model:
         return [()]
-    size = [made_by(problem, best, best, i).sum() for i in range(len(best.model))]
-    top = int(np.argmax(size))
+    top = int(np.argmax([made_by(problem, best, i) for i in range(len(best.model))]))
     component = best.model[top].cause.component
     same = tuple(i for i, h in enumerate(best.model) if h.cause.component == component)
     return list(dict.fromkeys([(), (top,), same, tuple(range(len(best.model)))]))
 
 
 def _refined(fitter: Fitter, best: Fit, candidate: Candidate) -> Fit:
-    """A candidate fitted through the replay."""
+    """Fit a candidate through the replay."""
     problem = fitter.problem
     kept = [i for i in range(len(best.model)) if i not in candidate.without]
     places = [problem.place(best.model, i) for i in kept]
@@ -496,36 +451,3 @@ def _refined(fitter: Fitter, best: Fit, candidate: Candidate) -> Fit:
     start = np.concatenate([(best.theta + candidate.shift)[index], candidate.coordinates])
     near = replace(best, model=model, theta=best.theta[index], jacobian=[J[..., index] for J in best.jacobian])
     return fitter.fit((*model, candidate.spline), start, near, 4, best)  # type: ignore[arg-type]
-
-
-def extend(joint: Joint, found: Unknown) -> Joint:
-    """The joint with the discrepancy in it."""
-    return joint.model_copy(update={"discrepancies": [*joint.discrepancies, found.discrepancy]})
-
-
-def describe(found: Unknown) -> str:
-    """The effect in a sentence."""
-    s, d = found.spline, found.discrepancy
-    values = spline_basis(np.linspace(0.0, 1.0, 200), len(d.coefficients)) @ np.array(d.coefficients)
-    what = {
-        "rotor": "a torque on the rotor", "mesh": "a friction torque in the mesh", "flexspline": "a flexspline torque",
-        "link": "a torque on the link", "joint_torque": "an error of the torque sensor",
-        "link_position": "a kinematic error" if s.kinematic else "an error of the link encoder",
-        "motor_current": "an error of the current reading",
-    }[s.place]  # fmt: skip
-    return f"{what} of {float(np.ptp(values)):.2g} {d.unit} that depends on {_words(s.variable)}"
-
-
-def _words(variable: str) -> str:
-    return {"motor_position_two_turns": "motor position, over two turns"}.get(variable, variable.replace("_", " "))
-
-
-def depends_on(variable: str) -> tuple[str, ...]:
-    """Names of the measured variables that a discrepancy's variable is made of."""
-    return {
-        "direction_link_position": ("link_position", "direction"),
-        "motor_position_two_turns": ("motor_position",),
-    }.get(variable, (variable,))
-
-
-__all__ = ["DiscrepancySettings", "Spline", "Unknown", "depends_on", "describe", "extend", "find"]

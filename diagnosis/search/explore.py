@@ -1,9 +1,9 @@
-"""The one search: which set of causes is the most probable, by adding, dropping and swapping causes.
+"""Search for the most probable set of causes by adding, dropping and swapping causes.
 
-A step proposes models one move away from the best one: with a cause more, without one, with another one in its place. What to
-propose is read off a linear model of all residuals about the best fit (`screen`); what is proposed is fitted through the replay
-and judged by its log posterior (`posterior`). The search ends where no proposal is more probable; the models about the best one
-that are nearly as probable (Occam's window: Madigan and Raftery, 1994) say how sure each cause is.
+A step proposes models one move from the best one. Proposals come from a linear model of all residuals about the best fit
+(`screen`); each is fitted through the replay and judged by its log posterior (`posterior`). The search ends when no proposal is
+more probable. The models about the best one that are nearly as probable (Occam's window: Madigan and Raftery, 1994) give the
+probability of each cause.
 """
 
 from __future__ import annotations
@@ -11,63 +11,44 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..fit.coordinates import Hypothesis
 from ..fit.residual import Model, Problem
 from ..fit.solver import Fit, Fitter, tamed
+from .contribution import alone, magnitudes_at, size_of
 from .posterior import EFFECT, Judged, ModelPosterior, quiet_rms, unexplained_size
-from .screen import Library, ranked, screen
-from .worth import alone, magnitudes_at, size_of
-
-if TYPE_CHECKING:
-    from .discrepancy import Unknown
+from .screen import PROBE, Library, ranked, screen
 
 Progress = Callable[[str, float], None]
 """Called with a stage's name and the share of the work that is done."""
 
 
-@dataclass(frozen=True)
-class ExploreSettings:
-    """Settings of the search.
-
-    Attributes:
-      beam: proposals of a kind that are fitted at a step.
-      near: part of the best proposal's gain in the linear model that another one must have, and of what a cause gains that one in
-        its place must: fits through the replay differ from it by no more.
-      steps: after which the search ends in any case.
-      window: log posterior by which a model may be less probable than the best one and still count.
-      whole: iterations of a fit that has a long way to go.
-      fine, coarse: part of the ordinary size at which causes are probed, near the noise and far from it.
-      far: normalised RMS of the residual from which on a fit is far from the noise.
-    """
-
-    beam: int = 3
-    near: float = 0.4
-    steps: int = 12
-    window: float = 5.0
-    whole: int = 6
-    fine: float = 0.03
-    coarse: float = 0.3
-    far: float = 2.0
-
-
-SETTINGS = ExploreSettings()
+BEAM = 3  # proposals of a kind that are fitted at a step
+NEAR = 0.4
+"""Part of the best proposal's linear gain that another one must have, and of a cause's gain that its substitute must have: fits
+through the replay differ from it by no more."""
+STEPS = 12  # after which the search ends in any case
+WINDOW = 5.0  # log posterior by which a model may be less probable than the best one and still count
+FIT, WHOLE = 4, 6  # iterations of a fit, and of one with a long way to go
+COARSE = 0.3  # part of the ordinary size at which causes are probed far from the noise
+FAR = 2.0  # noise ratio from which a fit is far from the noise
+SWAP = 0.1  # log posterior that a swap must gain: two fits of one model differ by less
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What became of one proposal.
+    """A proposal and its result.
 
     Attributes:
       stage: `add`, `drop` or `swap`.
-      cause, fixed: name and whole numbers of the cause that is added, dropped, or put in the place of another.
-      gain: log posterior of the proposal over that of the best model then.
+      cause, fixed: name and whole numbers of the cause that is added, dropped, or replaces another.
+      gain: log posterior over that of the best model at that step.
       size: of the cause, in ordinary sizes.
       taken: whether the cause is in the model afterwards.
-      reason: for people.
+      reason: in words.
     """
 
     stage: str
@@ -81,13 +62,13 @@ class Decision:
 
 @dataclass(frozen=True)
 class Explored:
-    """What the search found.
+    """Result of the search.
 
     Attributes:
       base: the calibrated joint without causes.
       best: the most probable model.
-      models: that were judged in the end, the best one first.
-      library: columns of the other hypotheses near the best.
+      models: judged in the last step, the best one first.
+      library: derivatives in the other hypotheses near the best.
       decisions: about every proposal.
       complete: whether the search ended before time was up.
     """
@@ -100,25 +81,25 @@ class Explored:
     complete: bool = True
 
     def probabilities(self, key: tuple[Any, ...]) -> tuple[float, float]:
-        """Probability that a cause is there, and that it is there as an effect of its own and no imperfection."""
+        """Return the probability that a cause is present, and that it is present as an effect and no imperfection."""
         there = float(sum(w for m, w in zip(self.models, _weights(self.models), strict=True) if key in m.keys))
         first = self.models[0]
         return there, there * first.effects[[h.key for h in first.fit.model].index(key)]
 
     def alike(self) -> list[tuple[str, str]]:
-        """Pairs of causes of which one stands in the best model, and the other in its place in one that still counts."""
+        """Return pairs of causes: one in the best model, the other in its place in a model within the window."""
         most = max(m.score for m in self.models)
         mine = {h.key for h in self.best.model}
         found = []
         for m in self.models:
             more, gone = m.keys - mine, mine - m.keys
-            if m.score > most - SETTINGS.window and len(more) == len(gone) == 1:
+            if m.score > most - WINDOW and len(more) == len(gone) == 1:
                 found.append((next(iter(gone))[0], next(iter(more))[0]))
         return [(a, b) for a, b in found if a != b]
 
 
 def _weights(models: Sequence[Judged]) -> np.ndarray:
-    """Probability of each model; of several fits of the same causes the most probable alone counts."""
+    """Probability of each model; of several fits of the same causes only the most probable counts."""
     score = np.array([m.score for m in models])
     first: dict[frozenset[Any], int] = {}
     for i in np.argsort(-score):
@@ -133,14 +114,13 @@ class Explorer:
     """The search over one problem.
 
     Attributes:
-      fitter: of the problem. offered: hypotheses that the measurement can show.
-      progress: told what is done; deadline: of `time.monotonic` [s], after which no step begins.
+      fitter: of the problem; offered: hypotheses that the measurement can show.
+      progress: called at every step; deadline: of `time.monotonic` [s], after which no step begins.
       decisions: so far.
     """
 
     fitter: Fitter
     offered: Sequence[Hypothesis]
-    settings: ExploreSettings = SETTINGS
     progress: Progress = lambda stage, done: None
     deadline: float = np.inf
     decisions: list[Decision] = field(default_factory=list)
@@ -148,18 +128,18 @@ class Explorer:
 
     @property
     def problem(self) -> Problem:
-        """Of the fitter."""
+        """The fitter's problem."""
         return self.fitter.problem
 
     def posterior(self, best: Fit) -> ModelPosterior:
-        """Of models about a fit."""
+        """Return the posterior of models about a fit."""
         return ModelPosterior(self.problem, best, max(len({h.cause.name for h in self.offered}), 1))
 
     def explore(self, base: Fit, start: Fit | None = None) -> Explored:
         """Search from the calibrated joint, or from a model with causes in it."""
         best, models = start or base, list[Judged]()
-        for step in range(self.settings.steps):
-            self.progress("searching for causes", 0.1 + 0.7 * step / self.settings.steps)
+        for step in range(STEPS):
+            self.progress("searching for causes", 0.1 + 0.7 * step / STEPS)
             library = self.library(best)
             if late := time.monotonic() > self.deadline:
                 break
@@ -171,80 +151,77 @@ class Explorer:
                     best = self._pruned(other)
                 other, models = self.neighbours(best, library.keeping(self._room(best)))
             if other is best or (keys := frozenset(h.key for h in other.model)) in self._seen:
-                break  # or back where it was: between models that are as probable
+                break  # no better one, or a cycle of equally probable models
             self._seen.add(keys)
             best = self._pruned(self._fit(other.model, other.theta))
         if not models:
             models = [self.posterior(best).judge(best)]
         return Explored(base, best, tuple(models), library, tuple(self.decisions), not late)
 
-    def beside(self, found: Explored, unknown: Unknown) -> tuple[Explored, Unknown | None]:
-        """What the search finds from an unknown effect on; what was found where that is not more probable."""
-        other = replace(self, _seen=set(), decisions=self.decisions).explore(found.base, unknown.fit)
-        problem, best = self.problem, other.best
-        last = [h for h in best.model if h is unknown.spline]
-        if not last:
-            return found, None
-        order = [i for i, h in enumerate(best.model) if h is not last[0]]
-        order.append(best.model.index(last[0]))
-        parts = problem.split(best.theta, best.model)
-        theta = np.concatenate([best.theta[: problem.size], *(parts[i] for i in order)])
-        fit = self._fit(tuple(best.model[i] for i in order), theta)  # the unknown effect last
+    def with_unknown(self, found: Explored, one: Fit) -> Explored | None:
+        """Search from a fit with an unknown effect as its last; None if the result is no more probable, or lacks the effect."""
+        other = replace(self, _seen=set(), decisions=self.decisions).explore(found.base, one)
+        model, theta = other.best.model, other.best.theta
+        index = next((i for i, h in enumerate(model) if h is one.model[-1]), None)
+        if index is None:
+            return None
+        place = self.problem.place(model, index)  # the unknown effect is moved to the end
+        theta = np.concatenate([theta[: place.start], theta[place.stop :], theta[place]])
+        fit = self._fit((*model[:index], *model[index + 1 :], model[index]), theta)
         post = self.posterior(fit)
         if post.judge(fit).score <= post.judge(found.best).score:
-            return found, None
+            return None
         _, models = self.neighbours(fit, other.library)
         models.append(post.judge(found.best))
-        return replace(other, best=fit, models=tuple(models), complete=found.complete), replace(unknown, fit=fit)
+        return replace(other, best=fit, models=tuple(models), complete=found.complete)
 
-    def _fit(self, model: Model, theta: np.ndarray, near: Fit | None = None, beside: Fit | None = None) -> Fit:
-        """A model fitted through the replay: with derivatives near by and the noise of another, or with its own."""
-        return self.fitter.fit(model, theta, near, 4, beside)
+    def _fit(self, model: Model, theta: np.ndarray, near: Fit | None = None, reference: Fit | None = None) -> Fit:
+        return self.fitter.fit(model, theta, near, FIT, reference)
 
-    def _whole(self, post: ModelPosterior, f: Fit, beside: Fit) -> Judged:
-        """A model fitted to its end: where calibration has a long way back, a few steps do not get there."""
-        return post.judge(self.fitter.fit(f.model, f.theta, None, self.settings.whole, beside))
+    def _whole(self, post: ModelPosterior, f: Fit, reference: Fit) -> Judged:
+        """Fit and judge a model in which calibration has a long way to go."""
+        return post.judge(self.fitter.fit(f.model, f.theta, None, WHOLE, reference))
 
     def _little(self, best: Fit, other: Fit) -> bool:
-        """Whether a model is so little more probable that nothing else would be seen from there."""
+        """Whether a model is hardly more probable than another."""
         post = self.posterior(other)
-        return post.judge(other).score < post.judge(best).score + self.settings.window
+        return post.judge(other).score < post.judge(best).score + WINDOW
 
     def _room(self, best: Fit) -> list[Hypothesis]:
+        """Hypotheses that a model can have in addition."""
         have = {h.key for h in best.model}
         return self.problem.with_room(best.model, [h for h in self.offered if h.key not in have])
 
     def library(self, best: Fit) -> Library:
-        """Columns of every hypothesis that the best model has not, and for which there is room."""
-        left = self._room(best)
-        far = quiet_rms(self.problem, best) > self.settings.far and not best.model
-        return Library(self.problem, best, left, self.settings.coarse if far else self.settings.fine)
+        """Return the library of what a model can have in addition."""
+        far = quiet_rms(self.problem, best) > FAR and not best.model
+        return Library.at(self.problem, best, self._room(best), COARSE if far else PROBE)
 
     def _grown(self, best: Fit, library: Library) -> Fit:
-        """With every cause more that makes it more probable, one after the other; the same where there is none."""
+        """Add causes one after the other as long as the model becomes more probable."""
         at, left = best, library
         while left.hypotheses and time.monotonic() <= self.deadline:
             post = self.posterior(at)
             now = post.judge(at)
             likely = screen(self.problem, at, left) if at is best else ranked(self.problem, at, left)[:1]
-            likely = [x for x in likely if x.gain > max(post.temper, self.settings.near * likely[0].gain)]
+            likely = [x for x in likely if x.gain > max(post.temper, NEAR * likely[0].gain)]
             proposed = []
-            for x in likely[: self.settings.beam]:
+            for x in likely[:BEAM]:
                 theta = np.concatenate([at.theta + x.shift, x.start])
                 proposed.append((x, post.judge(self._fit((*at.model, x.hypothesis), theta, at, at))))
             if not proposed:
                 return at
             x, top = max(proposed, key=lambda p: p[1].score)
-            if now.score - self.settings.window < top.score <= now.score + self.settings.window:
+            if now.score - WINDOW < top.score <= now.score + WINDOW:
                 top = max(top, self._whole(post, top.fit, at), key=lambda p: p.score)
                 proposed = [(y, top if y is x else p) for y, p in proposed]
             for y, p in proposed:
                 gain, taken = p.score - now.score, y is x and p.score > now.score
                 why = (
-                    "makes the joint most probable"
-                    if taken
-                    else "less probable"
+                    "less probable"
                     if gain <= 0
+                    else "makes the joint most probable"
+                    if taken
                     else "another is likelier"
                 )
                 self._decide("add", y.hypothesis, gain, size_of(self.problem, p.fit), taken, why)
@@ -257,7 +234,7 @@ class Explorer:
         return at
 
     def _pruned(self, best: Fit) -> Fit:
-        """Without causes that are no longer needed."""
+        """Drop causes one after the other as long as the model becomes more probable."""
         while best.model:
             post = self.posterior(best)
             now = post.judge(best)
@@ -273,16 +250,16 @@ class Explorer:
     def _drops(
         self, best: Fit, linear: Fit, post: ModelPosterior, indices: Iterable[int]
     ) -> Iterable[tuple[int, Judged, float]]:
-        """Models without one of some causes, of those that are not plainly needed, and the log likelihood that each loses."""
+        """Yield models without one of some causes, unless it is clearly needed, and the loss of log likelihood of each."""
         for i in indices:
             less, lost = _without(self.problem, linear, i)
-            if lost < 4 * self.settings.window * post.temper:
+            if lost < 4 * WINDOW * post.temper:
                 f = self._fit(less.model, less.theta, best, best)
                 if np.isfinite(f.log_evidence):
                     yield i, post.judge(f), max(best.log_evidence - f.log_evidence, 0.0)
 
     def neighbours(self, best: Fit, library: Library) -> tuple[Fit, list[Judged]]:
-        """The best of all models without one of the effects or with another cause in its place, and all that were judged."""
+        """Return the best model without one of the effects or with another cause in its place, and all that were judged."""
         problem, post = self.problem, self.posterior(best)
         linear = tamed(problem, best)
         effects = post.judge(best).effects
@@ -298,31 +275,27 @@ class Explorer:
             less, gained = _without(problem, linear, *gone)
             left = library.keeping(problem.with_room(less.model, library.hypotheses))
             for x in ranked(problem, less, left)[:2]:
-                if x.gain < self.settings.near * gained:
+                if x.gain < NEAR * gained:
                     continue
                 _, stays, _ = alone(problem, best, *gone)
                 near = replace(less, jacobian=[J[..., stays] for J in best.jacobian])
                 theta = np.concatenate([less.theta + x.shift, x.start])
                 other = post.judge(self._fit((*less.model, x.hypothesis), theta, near, best))
-                if now.score - 4 * self.settings.window < other.score < now.score + _MORE:
+                if now.score - 4 * WINDOW < other.score < now.score + SWAP:
                     other = max(other, self._whole(post, other.fit, best), key=lambda m: m.score)
                 models.append(other)
                 gain = other.score - now.score
-                why = f"in the place of {' and '.join(best.model[i].cause.name.replace('_', ' ') for i in gone)}"
-                self._decide("swap", x.hypothesis, gain, size_of(problem, other.fit), gain > _MORE, why)
+                why = f"in place of {' and '.join(best.model[i].cause.name.replace('_', ' ') for i in gone)}"
+                self._decide("swap", x.hypothesis, gain, size_of(problem, other.fit), gain > SWAP, why)
         better = max(models, key=lambda m: m.score)
-        return (better.fit if better.score > now.score + _MORE else best), models
+        return (better.fit if better.score > now.score + SWAP else best), models
 
     def _decide(self, stage: str, h: Hypothesis, gain: float, size: float, taken: bool, reason: str) -> None:
         self.decisions.append(Decision(stage, h.cause.name, h.fixed, float(gain), size, taken, reason))
 
 
-_MORE = 0.1
-"""Log posterior by which a swap must be more probable: less is what two fits of one model differ by."""
-
-
 def _correlated(problem: Problem, f: Fit, i: int, j: int) -> bool:
-    """Whether of two causes the one is half of what it is because the other is there: a third may stand for both."""
+    """Whether two causes share half of their variance: a third may replace both."""
     a, b = magnitudes_at(problem, f, i), magnitudes_at(problem, f, j)
     spread = np.sqrt(np.diag(f.covariance))
     correlation = f.covariance[np.ix_(a, b)] / spread[a][:, None] / spread[b]
@@ -330,7 +303,7 @@ def _correlated(problem: Problem, f: Fit, i: int, j: int) -> bool:
 
 
 def _without(problem: Problem, best: Fit, *indices: int) -> tuple[Fit, float]:
-    """A fit without some of its causes, in the linear model: the other unknowns answer. And the log likelihood that it loses."""
+    """Return a fit without some causes in the linear model, the other unknowns answering, and its loss of log likelihood."""
     where, keep, u = alone(problem, best, *indices)
     V = best.covariance
     pull = np.linalg.solve(V[np.ix_(where, where)], u)

@@ -106,7 +106,7 @@ def test_nothing_hidden_is_no_alarm(index):
 @pytest.mark.parametrize("index", [14, 29])
 def test_a_cause_is_as_general_as_the_data_ask_for(index):
     """Of load-dependent friction, and of one that is another when the load drives, the one that is there. Where the general
-    one adds just what it must it may be either: then neither is sure, and both are told."""
+    one adds just what it must it may be either: then neither is sure, and both are reported."""
     drawn = draw(Challenge(seed=206, hidden="one"), index)
     found = diagnose(drawn.measurement, drawn.nominal)
     hidden = [e.name for e in drawn.effects]
@@ -122,9 +122,9 @@ def test_a_late_torque_sensor_is_no_damping_of_the_link():
     drawn = draw(Challenge(seed=631, real=True, only=("link_flexibility",)), 2)
     found = diagnose(drawn.measurement, drawn.nominal)
     (true,) = (e.values for e in drawn.effects)
-    (told,) = (c.parameters for c in found.causes if c.name == "link_flexibility")
-    assert told["share"].value == pytest.approx(true["share"], rel=0.08)
-    assert told["damping"].value == pytest.approx(true["damping"], rel=0.25)
+    (reported,) = (c.parameters for c in found.causes if c.name == "link_flexibility")
+    assert reported["share"].value == pytest.approx(true["share"], rel=0.08)
+    assert reported["damping"].value == pytest.approx(true["damping"], rel=0.25)
     late = found.calibration["torque_sensor_delay"]
     assert late.value == pytest.approx(drawn.imperfections.values["torque_delay"], abs=0.2e-3)
     assert found.extended.sensors.joint_torque.delay == late.value
@@ -152,7 +152,7 @@ def test_a_late_reading_is_no_cause(sensor, name, late):
 
 @pytest.mark.slow
 def test_what_two_causes_share_is_not_sure():
-    """An eccentricity was told as half of one and a kinematic error once per turn, both at 0.99, 8 deviations off."""
+    """An eccentricity was reported as half of one and a kinematic error once per turn, both at 0.99, 8 deviations off."""
     drawn = draw(Challenge(seed=657), 17)
     found = diagnose(drawn.measurement, drawn.nominal)
     (hidden,) = (e.name for e in drawn.effects)
@@ -164,7 +164,7 @@ def test_what_two_causes_share_is_not_sure():
 
 @pytest.mark.slow
 def test_counts_that_shake_a_heavy_rotor_are_no_unknown_effect():
-    """0.6 N·m were left, the fit in a place in which the counts' noise is less, and an unknown effect was told at 0.95."""
+    """0.6 N·m were left, the fit in a place in which the counts' noise is less, and an unknown effect was reported at 0.95."""
     drawn = draw(Challenge(joint="csg-17-80-ec60", seed=801, real=True), 4)
     found = diagnose(drawn.measurement, drawn.nominal)
     require_found(drawn, found)
@@ -173,22 +173,22 @@ def test_counts_that_shake_a_heavy_rotor_are_no_unknown_effect():
 
 @pytest.mark.slow
 def test_a_torque_constant_is_no_gain_and_gravity_moment_for_want_of_inertia():
-    """Told as a torque sensor's gain and a gravity moment at 0.99: the counts' noise in accelerations decided; and a cause of no
+    """Reported as a torque sensor's gain and a gravity moment at 0.99: the counts' noise in accelerations decided; a cause of no
     size was kept because a fit without it, made elsewhere before, was worse."""
     drawn = draw(Challenge(seed=679, hidden="two"), 20)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert (
         {c.name for c in found.causes} == {e.name for e in drawn.effects} == {"torque_constant", "friction_asymmetry"}
     )
-    (told,) = (c.parameters["value"] for c in found.causes if c.name == "torque_constant")
+    (reported,) = (c.parameters["value"] for c in found.causes if c.name == "torque_constant")
     (true,) = (e.values["value"] for e in drawn.effects if e.name == "torque_constant")
-    assert abs(told.value - true) < 3 * told.std < 0.03 * true
+    assert abs(reported.value - true) < 3 * reported.std < 0.03 * true
 
 
 @pytest.mark.slow
 def test_one_of_many_orders_that_is_hardly_there_is_not_sure():
-    """A cogging of 1.1 ± 0.36 mN·m that is not there, 3.1 deviations from absent, was told at 0.99; with twenty orders and more
-    to choose from, one is that far by chance."""
+    """A cogging of 1.1 ± 0.36 mN·m that is not there, 3.1 deviations from absent, was reported at 0.99; with twenty orders
+    and more to choose from, one is that far by chance."""
     drawn = draw(Challenge(seed=811, real=True, sensor=False), 16)
     confidence = {c.name: c.confidence for c in diagnose(drawn.measurement, drawn.nominal).causes}
     assert confidence["rotor_inertia"] > 0.9 and confidence.get("cogging", 0.0) < 0.9
@@ -230,7 +230,7 @@ def test_neither_a_cause_nor_its_special_case_stands_for_the_other(challenge, in
     (562, "load_dependent_friction", 0), (562, "load_dependent_friction", 8), (561, "back_driving", 6),
 ])  # fmt: skip
 def test_a_friction_that_is_taken_for_another_is_not_told_as_sure(seed, only, index):
-    """Half of what both differ by is a torque constant. Where that ended at its limit one was told for the other at 0.99."""
+    """Half of what both differ by is a torque constant. Where that ended at its limit one was reported for the other at 0.99."""
     drawn = draw(Challenge(seed=seed, only=(only,), real=True), index)
     found = diagnose(drawn.measurement, drawn.nominal)
     wrong = [c for c in found.causes if c.name in {"load_dependent_friction", "back_driving"} - {only}]
@@ -238,23 +238,23 @@ def test_a_friction_that_is_taken_for_another_is_not_told_as_sure(seed, only, in
 
 
 @pytest.fixture(scope="module")
-def beside_a_stop():
-    """Of a hard stop with a rotor's inertia: variances of what is known beside it were once below zero by rounding."""
+def next_to_a_stop():
+    """Of a hard stop with a rotor's inertia: variances of what is known next to it were once below zero by rounding."""
     drawn = draw(Challenge(seed=579, hidden="two"), 10)
     return diagnose(drawn.measurement, drawn.nominal)
 
 
 @pytest.mark.slow
-def test_a_variance_of_rounding_alone_is_no_error(beside_a_stop):
+def test_a_variance_of_rounding_alone_is_no_error(next_to_a_stop):
     """The diagnosis ended in one."""
-    assert beside_a_stop.causes[0].name == "hard_stop"
-    assert {c.name for c in beside_a_stop.causes if c.confidence >= 0.9} <= {"hard_stop", "rotor_inertia"}
+    assert next_to_a_stop.causes[0].name == "hard_stop"
+    assert {c.name for c in next_to_a_stop.causes if c.confidence >= 0.9} <= {"hard_stop", "rotor_inertia"}
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="an order of the link encoder's error stands in its place, at 0.7")
-def test_a_rotor_inertia_is_found_beside_a_stop(beside_a_stop):
-    found = {c.name: c.confidence for c in beside_a_stop.causes}
+@pytest.mark.xfail(strict=True, reason="an order of the link encoder's error takes its place, at 0.7")
+def test_a_rotor_inertia_is_found_next_to_a_stop(next_to_a_stop):
+    found = {c.name: c.confidence for c in next_to_a_stop.causes}
     assert {"hard_stop", "rotor_inertia"} <= set(found), found
 
 
@@ -271,7 +271,7 @@ def test_a_reading_that_drifts_is_no_sure_offset():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [4, 41])
-def test_no_inertia_just_beyond_its_tolerance_beside_the_cause(index):
+def test_no_inertia_just_beyond_its_tolerance_next_to_the_cause(index):
     """Noise in the derivatives pulls the wave generator's inertia; the rotor's must not be called another for that."""
     drawn = draw(Challenge(seed=206, hidden="one"), index)
     found = diagnose(drawn.measurement, drawn.nominal)
@@ -288,7 +288,7 @@ def test_no_inertia_just_beyond_its_tolerance_beside_the_cause(index):
     ids=["none", "backlash"],
 )
 def test_without_load_no_backlash_is_sure(challenge, index):
-    """A real joint's resonance was taken for a backlash of 0.18 ± 0.04 mrad, at 0.99; with one it looks no different."""
+    """A real joint's resonance was mistaken for a backlash of 0.18 ± 0.04 mrad, at 0.99; with one it looks no different."""
     drawn = draw(challenge, index)
     (free,) = (r for r in drawn.measurement.recordings if r.name == "free")
     found = diagnose(replace(drawn.measurement, recordings=(free,)), drawn.nominal)
@@ -297,7 +297,7 @@ def test_without_load_no_backlash_is_sure(challenge, index):
 
 
 @pytest.mark.slow
-def test_what_orders_beside_an_unknown_friction_are_worth():
+def test_orders_next_to_an_unknown_friction_contribute_little():
     """1382 N·m, of a friction of 3.5 mN·m: in rows that no fit counts the unknown effect, put in its place, did anything."""
     drawn = draw(Challenge(seed=920, hidden="outside"), 3)
     found = diagnose(drawn.measurement, drawn.nominal)
@@ -307,7 +307,7 @@ def test_what_orders_beside_an_unknown_friction_are_worth():
 
 @pytest.mark.slow
 def test_three_orders_of_a_law_of_the_links_angle_are_any_law():
-    """A friction that steps at an angle was told as three orders, at 0.99 each."""
+    """A friction that steps at an angle was reported as three orders, at 0.99 each."""
     drawn = draw(Challenge(seed=920, hidden="outside"), 21)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes and all(c.component == "transmission" and c.confidence <= 0.7 for c in found.causes)
@@ -319,14 +319,14 @@ def test_numbers_at_the_end_of_their_tolerances_are_told():
     drawn = draw(Challenge(seed=214, hidden="one", real=True), 11)
     assert [e.name for e in drawn.effects] == ["stiffness"]
     found = diagnose(drawn.measurement, drawn.nominal)
-    told = "at the end of what the description allows: K1 (-2"
-    assert "stiffness" in {c.name for c in found.causes} or told in found.reason, found.reason
+    reported = "at the bound of the tolerance: K1 (-2"
+    assert "stiffness" in {c.name for c in found.causes} or reported in found.reason, found.reason
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [7, 35])
-def test_what_real_joints_have_beside_does_not_hide_the_cause(index):
-    """Not quite viscous friction is no unknown effect; a resonance worth nothing keeps no cause from being fitted."""
+def test_what_real_joints_have_in_addition_does_not_hide_the_cause(index):
+    """Not quite viscous friction is no unknown effect; a resonance without a contribution keeps no cause from being fitted."""
     drawn = draw(Challenge(seed=205, hidden="one", real=True), index)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == drawn.effects[0].name, [(c.name, c.confidence) for c in found.causes]
@@ -334,7 +334,7 @@ def test_what_real_joints_have_beside_does_not_hide_the_cause(index):
 
 @pytest.mark.slow
 def test_what_was_known_before_is_no_less_sure_for_what_nothing_explains():
-    """Of mesh friction the data tell the product with its tolerance: Birge's ratio does not touch what tells the two apart."""
+    """Of mesh friction the data determine the product with its tolerance: Birge's ratio does not touch what separates the two."""
     drawn = draw(Challenge(seed=214, hidden="one", real=True), 7)
     assert [e.name for e in drawn.effects] == ["mesh_friction"]
     found = diagnose(drawn.measurement, drawn.nominal)
@@ -354,7 +354,7 @@ def test_a_late_encoder_is_followed_from_far_away():
 
 @pytest.mark.slow
 def test_of_what_is_worth_about_the_same_the_likelier_is_taken():
-    """A gravity moment 10 % up was told as a torque sensor's gain at 0.99: worth a little more in the linear model, and less
+    """A gravity moment 10 % up was reported as a torque sensor's gain at 0.99: a little better in the linear model, and less
     likely by 54, while a third that was likelier than both kept the two from being held against each other. A torque constant and
     a sensor's gain together do nearly what it does: what is not sure for that says so."""
     drawn = draw(Challenge(seed=481, hidden="one", real=True), 42)
@@ -362,8 +362,8 @@ def test_of_what_is_worth_about_the_same_the_likelier_is_taken():
     found = {c.name: c for c in said.causes}
     others = {"torque_constant", "torque_sensor_gain"}
     assert found["gravity_moment"].confidence > 0.5 and not others & {*found}
-    told = {name for pair in said.confusable if "gravity_moment" in pair for name in pair}
-    assert found["gravity_moment"].confidence > 0.9 or others <= told
+    reported = {name for pair in said.confusable if "gravity_moment" in pair for name in pair}
+    assert found["gravity_moment"].confidence > 0.9 or others <= reported
     assert all(error < 3 for error, _ in score.deviations(drawn, said).values())
 
 
@@ -371,9 +371,9 @@ def test_of_what_is_worth_about_the_same_the_likelier_is_taken():
 @pytest.mark.parametrize(
     ("seed", "hidden", "index"), [(571, "one", 34), (573, "two", 1), (611, "one", 36), (603, "two", 36)]
 )
-def test_a_hysteresis_that_a_ripple_winds_is_found_beside_the_ripple(seed, hidden, index):
-    """Neither shows without the other; taking what is worth most first ended at 8 and 11 times the sensors' noise, the verdict at
-    inconclusive."""
+def test_a_hysteresis_that_a_ripple_winds_is_found_next_to_the_ripple(seed, hidden, index):
+    """Neither shows without the other; taking the largest contribution first ended at 8 and 11 times the sensors' noise, the
+    verdict at inconclusive."""
     drawn = draw(Challenge(seed=seed, hidden=hidden, real=True), index)
     confidence = {c.name: c.confidence for c in diagnose(drawn.measurement, drawn.nominal).causes}
     assert all(confidence.get(e.name, 0.0) > 0.9 for e in drawn.effects), confidence
@@ -381,7 +381,7 @@ def test_a_hysteresis_that_a_ripple_winds_is_found_beside_the_ripple(seed, hidde
 
 @pytest.mark.slow
 def test_effects_that_are_minor_only_for_not_being_well_known_are_not_consistent():
-    """A hysteresis and a friction that drifts, beside so much that no description holds that neither is sure."""
+    """A hysteresis and a friction that drifts, next to so much that no description holds that neither is sure."""
     drawn = draw(Challenge(seed=573, hidden="two", real=True), 17)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert {e.name for e in drawn.effects} <= {c.name for c in (*found.causes, *found.minor)}
@@ -393,7 +393,7 @@ def test_effects_that_are_minor_only_for_not_being_well_known_are_not_consistent
 @pytest.mark.parametrize("index", [2, 18, 26, 44, 48])
 def test_what_two_causes_together_make_is_not_told_as_another_for_sure(index):
     """Of a torque constant, a sensor's gain and a gravity moment two may make what the third does, and a back-driving is nearly a
-    friction with a torque constant: one of them was told at 0.91 to 0.99 in the others' place."""
+    friction with a torque constant: one of them was reported at 0.91 to 0.99 in the others' place."""
     drawn = draw(Challenge(seed=593, hidden="two", real=True), index)
     hidden = {e.name for e in drawn.effects}
     wrong = {
@@ -418,8 +418,8 @@ def test_an_encoder_as_late_as_can_be_is_found_from_the_described_joint():
 
 
 @pytest.mark.slow
-def test_rivals_are_compared_beside_all_other_causes():
-    """A current offset gains more than asymmetric friction while viscous friction is missing, and much less beside it."""
+def test_rivals_are_compared_next_to_all_other_causes():
+    """A current offset gains more than asymmetric friction while viscous friction is missing, and much less next to it."""
     drawn = draw(Challenge(seed=213, hidden="two", real=True), 4)
     hidden = {e.name for e in drawn.effects}
     assert hidden == {"viscous_friction", "friction_asymmetry"}
@@ -505,7 +505,7 @@ def test_extended_joint_makes_a_fresh_measurement_consistent():
 
 @pytest.mark.slow
 def test_of_two_causes_worth_the_same_the_one_that_is_larger_for_its_kind_stands_first():
-    """A link's inertia 1.8 times as large, on a joint whose link is not quite rigid: both are worth 0.13 N·m."""
+    """A link's inertia 1.8 times as large, on a joint whose link is not quite rigid: both contribute 0.13 N·m."""
     drawn = draw(Challenge(hidden="one", seed=1010, real=True), 27)
     first, second = diagnose(drawn.measurement, drawn.nominal).causes
     assert (first.name, second.name) == ("link_inertia", "link_flexibility")
@@ -555,7 +555,7 @@ def test_a_viscous_friction_is_no_better_known_than_its_law():
 @pytest.mark.slow
 @pytest.mark.parametrize("missing", ["joint_torque", pytest.param("link_position", marks=pytest.mark.long)])
 def test_a_special_case_is_fitted_as_long_as_what_is_more_general(shared, missing):
-    """A back-driving with two coefficients alike stood for a friction that grows with load, which was fitted less long."""
+    """A back-driving with two coefficients alike replaced a friction that grows with load, which was fitted less long."""
     measurement = read_measurement(shared / "data" / "examples" / "toleranced" / "02")
     less = replace(measurement, recordings=tuple(r.without(missing) for r in measurement.recordings))
     found = diagnose(less, measurement.load_joint(None))
@@ -836,7 +836,7 @@ def test_output_that_cannot_be_written_is_refused_before_the_work(tmp_path, flex
 @pytest.mark.slow
 @pytest.mark.long
 def test_causes_are_told_by_what_they_are_worth_to_estimators_too():
-    """A friction nearly twice as large, which in a simulation tolerances can do instead, beside a link that is not rigid."""
+    """A friction nearly twice as large, which in a simulation tolerances can do instead, next to a link that is not rigid."""
     one = draw(Challenge(seed=331, hidden="one", real=True), 1)
     found = diagnose(one.measurement, one.nominal)
     assert [e.name for e in one.effects] == ["mesh_friction"]
@@ -849,7 +849,7 @@ def test_causes_are_told_by_what_they_are_worth_to_estimators_too():
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "index", "name"), [(601, 31, "mesh_friction"), (591, 25, "stiffness")])
 def test_without_an_effect_that_multiplies_a_number_its_tolerance_does_less(seed, index, name):
-    """Tolerances of a friction 2.3 times as large, taken for those of the friction without it, explained nearly all of it."""
+    """Tolerances of a friction 2.3 times as large, mistaken for those of the friction without it, explained nearly all of it."""
     drawn = draw(Challenge(seed=seed, hidden="one", real=True), index)
     assert [e.name for e in drawn.effects] == [name]
     assert diagnose(drawn.measurement, drawn.nominal).causes[0].name == name

@@ -54,7 +54,7 @@ def test_every_cause_is_found_within_tolerance(joint, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [-0.012, 0.012])
 def test_crosstalk_of_the_torque_sensor_is_not_the_payloads_angle(joint, share):
-    """What the weight makes a torque sensor read across its axis goes with the cosine of the angle, as a payload beside the link
+    """What the weight makes a torque sensor read across its axis goes with the cosine of the angle, as a payload next to the link
     would: it is no noise that longer data average out."""
     measurement, truth = measure(joint, 700, ("payload",))
     amplitude = share * joint.mount("link").gravity_moment
@@ -80,14 +80,13 @@ def test_nothing_hidden_is_consistent(joint, seed):
 def test_what_is_taken_back_is_not_called_consistent(joint, monkeypatch):
     """Calibration explains a joint within tolerance; where it is not believed the description is left, and that is off."""
     measurement, _ = measure(joint, 600)
-    monkeypatch.setattr(
-        regions, "SETTINGS", replace(regions.SETTINGS, worse=0.0, most=0.0)
-    )  # worse wherever it has not been
+    for name in ("WORSE", "MOST"):  # worse wherever it has not been
+        monkeypatch.setattr(regions, name, 0.0)
     d = diagnose(measurement, joint)
     current = d.residual["motor_current"]
     assert current.after > 2 * current.noise
     assert d.verdict == "inconclusive" and "motor current" in d.reason
-    assert "joint.yaml is the description, its link encoder's zero tared" in d.reason
+    assert "joint.yaml is the description, with the link encoder's zero found" in d.reason
     zeros = [j.sensors.link_encoder.zero.value for j in (joint, d.extended)]
     apart = {"sensors", "uncertainty"}
     assert zeros[1] != zeros[0] and d.extended.model_dump(exclude=apart) == joint.model_dump(exclude=apart)
@@ -99,7 +98,7 @@ def test_what_is_taken_back_is_not_called_consistent(joint, monkeypatch):
 @pytest.mark.parametrize("torque", [False, True])
 @pytest.mark.parametrize("factor", [0.84, 1.3])
 def test_another_stribeck_friction_is_no_friction_of_the_angle(joint, factor, torque):
-    """Orders 1 to 3 of the link's angle, which together are a constant where the link went, had been told at 0.7 and more."""
+    """Orders 1 to 3 of the link's angle, which together are a constant where the link went, had been reported at 0.7 and more."""
     number = joint.numbers["Fs"]
     there = {**joint.numbers, "Fs": number.model_copy(update={"value": factor * number.value})}
     measurement, _ = measure(joint.model_copy(update={"numbers": there}), 3, exact=True)

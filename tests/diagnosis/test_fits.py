@@ -14,8 +14,8 @@ from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter, evaluate_point, prior_cost
-from flexspline.diagnosis.search.calibrate import CalibrateSettings, better, calibrate
-from flexspline.diagnosis.search.worth import alone
+from flexspline.diagnosis.search.calibrate import better, calibrate
+from flexspline.diagnosis.search.contribution import alone
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
 from flexspline.models.joint_parts import Effect, Estimate
@@ -23,8 +23,8 @@ from flexspline.models.joint_parts import Effect, Estimate
 SEED = 5
 
 
-def test_what_an_effect_replaces_has_no_say_beside_it():
-    """A torque constant of its own beside one that calibration had moved to its end: derivatives that were taken over held
+def test_what_an_effect_replaces_has_no_say_next_to_it():
+    """A torque constant of its own next to one that calibration had moved to its end: derivatives that were taken over held
     that in place, and the effect came out at a third, 1.2 standard deviations from none, and was thrown away."""
     cause, number, factor = "torque_constant", "Kt", 0.91
     print(f"seed {SEED}")
@@ -35,7 +35,7 @@ def test_what_an_effect_replaces_has_no_say_beside_it():
     run = fs.simulate("link_sweep", joint=true, filters=["RAREKF"], duration=10, seed=SEED)
     problem = Problem(*segments([run.as_recording()], described), described)
     fitter = Fitter(problem)
-    base = calibrate(fitter, CalibrateSettings(iterations=4))
+    base = calibrate(fitter, iterations=4)
     at = problem.calibration.names.index(number)
     assert abs(base.theta[at]) > 1.5
     (effect,) = hypotheses(causes.get(cause), problem.calibration.record(np.zeros(problem.calibration.size)))
@@ -43,9 +43,9 @@ def test_what_an_effect_replaces_has_no_say_beside_it():
     assert abs(found.theta[at]) < 1e-6
     assert not any(j[..., at].any() for j in found.jacobian)
     u, covariance = found.theta[problem.size :], found.covariance[problem.size :, problem.size :]
-    ((name, told),) = effect.values(u).items()
-    assert abs(told - value) < 4 * effect.deviation(u, covariance)[name]
-    assert abs(told - value) < 0.3 * abs(value - described.numbers[number].value)
+    ((name, reported),) = effect.values(u).items()
+    assert abs(reported - value) < 4 * effect.deviation(u, covariance)[name]
+    assert abs(reported - value) < 0.3 * abs(value - described.numbers[number].value)
     # And it has its say again where the effect has gone.
     without = fitter.fit((), found.theta[: problem.size], found)
     assert any(j[..., at].any() for j in without.jacobian)
@@ -59,7 +59,7 @@ def test_numbers_that_the_data_hardly_tell_stay_near_the_description_where_more_
     run = fs.simulate("link_sweep", filters=["RAREKF"], duration=10, seed=SEED)
     problem = Problem(*segments([run.as_recording()], described), described)
     fitter = Fitter(problem)
-    fit = fitter.polish(calibrate(fitter, CalibrateSettings(iterations=4)))
+    fit = fitter.polish(calibrate(fitter, iterations=4))
     known = np.sqrt(np.diag(fit.covariance)) < 0.04
     # Two standard deviations away where the data say least: how far a fit goes there by itself is chance.
     _, directions = np.linalg.eigh(fit.covariance)
@@ -94,11 +94,11 @@ def swung(off: float = 0.0) -> tuple[Problem, Fit]:
     """The test joint in a swing, its link encoder's zero off; all numbers but zeros as described, fitted."""
     joint, one = load_joint("test-joint"), recording(seconds=8.0)
     columns = one.columns | {"link_position": one.columns["link_position"] + off}
-    problem = Problem(*segments([replace(one, columns=columns)], joint), joint).as_described()
+    problem = Problem(*segments([replace(one, columns=columns)], joint), joint).only_zero()
     return problem, Fitter(problem).fit((), problem.start(None, ()), iterations=4)
 
 
-def test_zeros_beside_numbers_as_described_are_written():
+def test_zeros_next_to_numbers_as_described_are_written():
     """Numbers that have but a shared tolerance shifted what is held: other numbers were written, and the zero was not."""
     problem, fit = swung(1.5e-4)
     joint = problem.joint

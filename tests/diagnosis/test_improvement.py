@@ -16,7 +16,7 @@ from flexspline.diagnosis.fit.regions import held_out_regions
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter
 from flexspline.diagnosis.improvement import ESTIMATORS, Improvement, held_out, improvement, removed, with_improvement
-from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
+from flexspline.diagnosis.search.calibrate import calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.estimator.offline import estimate_recording
 from flexspline.models.joint_parts import Effect, Estimate
@@ -33,7 +33,7 @@ def diagnosed() -> tuple[Draw, Diagnosis]:
     measurement = replace(drawn.measurement, recordings=(recording.at(slice(None, None, 4)),))
     drawn = replace(drawn, measurement=measurement)
     problem = Problem(*segments(list(measurement.recordings), drawn.nominal), drawn.nominal)
-    fit = calibrate(Fitter(problem), CalibrateSettings(iterations=3))
+    fit = calibrate(Fitter(problem), iterations=3)
     extended = calibrated(problem, fit, drawn.nominal)
     regions = held_out_regions(problem, fit)
     found = Diagnosis("consistent", (), (), {}, (), {}, {}, regions, extended)

@@ -43,7 +43,7 @@ def ripple_of(time: np.ndarray, x: np.ndarray) -> float:
 
 
 def test_ripple_behind_the_gear_is_not_the_rotors():
-    """Its acceleration would ask for many times the current that there is; the current itself is left alone."""
+    """Its acceleration would ask for many times the current that there is; the current itself is not checked."""
     joint = load_joint("test-joint")
     (behind,), _ = segments([log("link_position", 1.0)], joint)
     (before,), _ = segments([log("motor_position", 100.0)], joint)
@@ -58,7 +58,7 @@ def test_ripple_behind_the_gear_is_not_the_rotors():
 
 @pytest.mark.parametrize("rate", [1000, 125])
 def test_current_of_a_joint_that_is_as_described(rate):
-    """Swept with its kinematic error: 24 and 23 mA as long as the link's ripple was taken for the rotor's motion."""
+    """Swept with its kinematic error: 24 and 23 mA as long as the link's ripple was mistaken for the rotor's motion."""
     run = fs.simulate("link_sweep", filters=["RAREKF"], duration=10, seed=3)
     whole = run.as_recording().without("motor_position", "joint_torque")
     recording = whole.at(np.arange(0, len(whole.time), 1000 // rate))
@@ -74,7 +74,7 @@ def test_pushes_that_nobody_measured_do_not_count_with_one_encoder():
     (one, other), (_, replicate) = segments([quiet, pushed], joint)
     assert one.usable.any() and not other.usable.any() and not other.held_out.any() and not replicate.usable.any()
     (alone,), _ = segments([pushed], joint)
-    assert alone.usable.any()  # there is nothing else; no cause is then told at more than 0.5
+    assert alone.usable.any()  # there is nothing else; no cause is then reported at more than 0.5
     both = {**pushed.columns, "motor_position": 100.0 * quiet["link_position"]}
     (_, measured), _ = segments([quiet, replace(pushed, columns=both)], joint)
     assert measured.usable[:, CURRENT].any()
@@ -125,7 +125,7 @@ def test_a_torque_sensor_is_held_against_the_links_own_motion():
     ("index", "name"),
     [
         pytest.param(14, "gravity_moment", marks=pytest.mark.long),
-        pytest.param(18, "hard_stop", marks=pytest.mark.long),  # beside three numbers of the gear at their ends
+        pytest.param(18, "hard_stop", marks=pytest.mark.long),  # next to three numbers of the gear at their ends
         pytest.param(9, "torque_sensor_gain", marks=pytest.mark.long),
     ],
 )
@@ -148,9 +148,9 @@ def test_a_phase_that_counts_from_the_rotor_is_known_up_to_the_link_encoders_zer
         problem = Problem(*segments([log(channel, scale)], joint), joint)
         for order in (min(orders), 12.0, max(orders)):
             alone = orders[order].deviation(u, 1e-4 * np.eye(2))
-            told = problem.deviation(orders[order], u, 1e-4 * np.eye(2))
+            reported = problem.deviation(orders[order], u, 1e-4 * np.eye(2))
             wide = min(np.hypot(alone["phase"], order * ratio * zero), 2 * np.pi / np.sqrt(12))
-            assert told == pytest.approx(alone if exact else alone | {"phase": wide})
+            assert reported == pytest.approx(alone if exact else alone | {"phase": wide})
 
 
 def test_a_described_zero_is_taken_off_before_the_rotor_is_where_the_link_says():
@@ -180,7 +180,7 @@ def test_a_described_eccentricity_is_taken_off_before_the_link_is_where_the_roto
 @pytest.mark.slow
 @pytest.mark.long
 def test_an_order_that_the_link_encoder_alone_shows_is_as_unsure_as_its_zero():
-    """A cogging of order 12: its phase was told as 0.41 ± 0.30 rad, and was 4.76."""
+    """A cogging of order 12: its phase was reported as 0.41 ± 0.30 rad, and was 4.76."""
     drawn = draw(Challenge(seed=1421, without=("motor_position",)), 10)
     (effect,) = drawn.effects
     found = diagnose(drawn.measurement, drawn.nominal)
@@ -208,7 +208,7 @@ def test_of_sound_joints_nothing_is_claimed(shared, group, number, columns):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["load_dependent_friction", "viscous_friction", "hard_stop"])
 def test_a_real_joints_cause_is_named(name):
-    """Seed 502: one of 18 was as long as pushes that nobody measured and wrong time stamps were taken for the joint's doing."""
+    """Seed 502: one of 18 was as long as unmeasured pushes and wrong time stamps were mistaken for the joint's doing."""
     drawn = draw(Challenge(seed=502, real=True, only=(name,), without=("motor_position", "joint_torque")), 0)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == drawn.effects[0].name

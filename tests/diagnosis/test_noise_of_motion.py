@@ -9,7 +9,7 @@ import flexspline as fs
 from flexspline.diagnosis.data.segments import TORQUE, segments
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.coordinates import hypotheses
-from flexspline.diagnosis.fit.noise_bias import bias_of
+from flexspline.diagnosis.fit.motion_noise import bias_of
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import evaluate_point
 from flexspline.diagnosis.trials.draw import Challenge, draw
@@ -81,7 +81,7 @@ def test_hysteresis_is_as_strong_as_it_is(index):
 @pytest.mark.slow
 def test_what_a_law_leaves_in_the_hundredths_is_nothing_sure():
     """Seed 275: a friction 3 % stronger one way, 3.7 standard deviations from none and 0.2 % of what the hysteresis explains,
-    stood beside it at 0.99."""
+    was named next to it at 0.99."""
     drawn = draw(Challenge(seed=275), 10)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert [c.name for c in found.causes if c.confidence >= 0.9] == ["hysteresis"]

@@ -13,7 +13,7 @@ from swing import recording
 from flexspline.diagnosis import improvement
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.diagnose import diagnose
-from flexspline.diagnosis.fit.regions import drawn_back
+from flexspline.diagnosis.fit.regions import shrunk
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter
 from flexspline.diagnosis.search import explore
@@ -66,8 +66,8 @@ def test_nothing_is_sure_that_is_not_there(shared, group, number, name):
     assert found.verdict != "consistent" or not found.causes
 
 
-def test_what_does_not_serve_is_drawn_back(shared):
-    """Where estimates of torque are worse with a joint, the fit is drawn back, and what is drawn back says so."""
+def test_a_fit_that_does_not_serve_is_shrunk(shared):
+    """A fit is shrunk where torque estimates are worse with it, and the result says so."""
     measurement = read_measurement(shared / "data" / "examples" / "exact" / "00" / "free.yaml")
     joint = measurement.load_joint(None)
     problem = Problem(*segments(list(measurement.recordings), joint), joint)
@@ -78,7 +78,7 @@ def test_what_does_not_serve_is_drawn_back(shared):
         asked.append(f)
         return len(asked) > 1
 
-    drawn = drawn_back(problem, fit, serves=refuse)
+    drawn = shrunk(problem, fit, refuse)
     assert drawn.refused and 0 < drawn.share < 1
     assert len(asked) == 2 and drawn.fit is asked[-1]
 
@@ -102,7 +102,7 @@ def test_a_joint_that_holds_its_pose_says_nothing():
 
 
 def test_a_recording_too_short_to_keep_a_part_from_the_fit_shows_what_is_left_of_all():
-    """It had no residual at all, which left nothing to doubt, and said that blocks had been kept."""
+    """It had no residual, which left nothing to doubt, and said that blocks had been kept."""
     one = recording(seconds=2.4)
     columns = one.columns | {"joint_torque": one.columns["joint_torque"] + 0.8}
     measurement = Measurement("swing", Path("swing"), (replace(one, columns=columns),))
@@ -114,7 +114,7 @@ def test_a_recording_too_short_to_keep_a_part_from_the_fit_shows_what_is_left_of
 
 @pytest.mark.slow
 def test_a_stage_for_which_there_was_no_time_is_told(monkeypatch):
-    """Where time ran out after the first causes, nobody was told that others were not looked for."""
+    """Where time ran out after the first causes, the answer did not say that others were not looked for."""
     one, now = recording(seconds=8.0), [0.0]
     columns = one.columns | {"motor_current": one.columns["motor_current"] + 0.2}
     for module in (explore, of_diagnosis):

@@ -27,7 +27,6 @@ from flexspline.diagnosis.planning import (
     plan,
 )
 from flexspline.diagnosis.search.identifiability import ALIKE, distance, limits
-from flexspline.diagnosis.search.screen import SETTINGS as SCREEN
 from flexspline.diagnosis.search.screen import Library
 from flexspline.diagnosis.trials.draw import Challenge, drawn_scenarios
 from flexspline.diagnosis.trials.motions import waypoints
@@ -163,7 +162,7 @@ def test_what_a_measurement_says_is_what_its_limits_say(joint, swing):
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     names = ["torque_constant", "gravity_moment", "payload", "stiffness", "hysteresis", "link_inertia", "cable_spring"]
     tried = [h for name in names for h in hypotheses(causes.get(name), record)]
-    weak, alike = limits(problem, at, Library(problem, at, tried, SCREEN.probe))
+    weak, alike = limits(problem, at, Library.at(problem, at, tried))
     state = _State(problem, at, tried)
     known = state.information(problem, at.noise, at.jacobian, set(names))
     for name in names:

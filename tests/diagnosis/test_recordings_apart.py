@@ -1,4 +1,4 @@
-"""Recordings of one measurement that do not belong together: nothing is sure, and why is told."""
+"""Recordings of one measurement that do not belong together: nothing is sure, and the reason is reported."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flexspline.diagnosis.trials.draw import Challenge, draw
 
 SEED = 7
 ENOUGH = 5.0
-"""Seconds of search after which what is told here is known."""
+"""Seconds of search after which what is reported here is known."""
 
 
 @pytest.mark.slow
@@ -42,8 +42,8 @@ def test_an_encoder_that_was_zeroed_between_recordings_is_told(shift):
     *others, last = drawn.measurement.recordings
     last = replace(last, columns=last.columns | {"link_position": last.columns["link_position"] + shift})
     found = diagnose(replace(drawn.measurement, recordings=(*others, last)), drawn.nominal, seconds=ENOUGH)
-    told = re.search(rf"another zero of the link encoder \(.*{last.name} \+([\d.]+).*mrad\)", found.reason)
-    assert (told is not None) == (shift > 0.0), found.reason
-    if told is not None:
-        assert float(told[1]) == pytest.approx(1e3 * shift, abs=0.3)
+    reported = re.search(rf"zero differs between recordings \(.*{last.name} \+([\d.]+).*mrad\)", found.reason)
+    assert (reported is not None) == (shift > 0.0), found.reason
+    if reported is not None:
+        assert float(reported[1]) == pytest.approx(1e3 * shift, abs=0.3)
         assert all(c.confidence <= 0.5 for c in found.causes), [(c.name, c.confidence) for c in found.causes]

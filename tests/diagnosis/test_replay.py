@@ -8,9 +8,9 @@ from hidden_joint import measure
 
 from flexspline.diagnosis.data.segments import STEP, _encoder_noise, segments
 from flexspline.diagnosis.fit.coordinates import hypotheses
+from flexspline.diagnosis.fit.encoder_zero import zeroed
 from flexspline.diagnosis.fit.replay import READ_OUT, residual, residuals, transmission
 from flexspline.diagnosis.fit.residual import TIMING, Problem
-from flexspline.diagnosis.fit.tare import tared
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.trials.motions import motions, record_motion
 from flexspline.estimator.motion import smooth
@@ -58,8 +58,8 @@ def test_sensors_that_are_all_as_late_tell_of_the_same_joint(joint, delay):
     recording = recorded(late, late)
     found = rms(late, segments([recording], late)[0])
     assert found[0] < 0.01 and np.all(found[1:] < 0.03), found
-    told = estimate_recording(recording, late, ("RAREKF",)).torque["RAREKF"] - recording["joint_torque"]
-    assert np.sqrt(np.nanmean(told[200:-200] ** 2)) < 0.2
+    reported = estimate_recording(recording, late, ("RAREKF",)).torque["RAREKF"] - recording["joint_torque"]
+    assert np.sqrt(np.nanmean(reported[200:-200] ** 2)) < 0.2
 
 
 def test_a_gear_whose_temperature_nobody_read_has_that_of_its_description(joint):
@@ -200,7 +200,7 @@ def problem(joint):
 
 
 def difference(problem, theta, model, j, step=1e-6):
-    """Derivative of the residuals by an unknown, from a replay beside; shape (total, len(BALANCES)).
+    """Derivative of the residuals by an unknown, from another replay; shape (total, len(BALANCES)).
 
     The step is as small as rounding lets it be: friction that turns round a sample later makes jumps of a larger one.
     """
@@ -238,14 +238,14 @@ def test_a_torque_sensor_that_is_late_is_late_in_every_balance_that_reads_it(joi
     punctual = left(measurement.recordings, joint)
     unknown = left(recordings, joint)
     mended = left(recordings, known, 0.0 if described else -late / TIMING[1])
-    print("torque, link [N·m]: punctual", punctual, "late", unknown, "told", mended)
+    print("torque, link [N·m]: punctual", punctual, "late", unknown, "reported", mended)
     assert np.all(mended < 1.05 * punctual) and np.all(unknown > 1.3 * punctual)
 
 
 def test_derivatives_of_the_replay_are_those_of_differences(problem):
     """Every number with a tolerance, and the times of the samples."""
     theta = np.random.default_rng(7).normal(0, 0.5, problem.size)
-    theta = tared(problem, theta, ())
+    theta = zeroed(problem, theta, ())
     J = np.concatenate(problem.jacobian(theta, ()))
     for j in range(problem.size):
         numeric = difference(problem, theta, (), j)
@@ -269,7 +269,7 @@ def test_derivatives_by_an_effect_are_those_of_differences(problem, name):
         columns = [problem.size + j for j in (range(h.size) if size else h.magnitudes)]
         J = np.concatenate(problem.jacobian(theta, (h,), np.array(columns)))
         for i, j in enumerate(columns):
-            # Where there is no effect, differences stand for derivatives by an amplitude with a phase, and the like.
+            # Where there is no effect, differences replace derivatives by an amplitude with a phase, and the like.
             bent = not size and (h.polar or name in ("back_driving", "payload"))
             numeric = difference(problem, theta, (h,), j)
             assert np.linalg.norm(J[..., i] - numeric) <= (0.05 if bent else 0.01) * np.linalg.norm(numeric), (size, j)
@@ -285,7 +285,7 @@ def test_where_the_replay_runs_into_the_end_of_a_law_derivatives_stay_bounded(pr
 
 
 def test_derivatives_that_no_number_can_have_are_replaced_wherever_they_are(joint):
-    """Far from the joint as it is the replay is driven into the end of a law in more than a tenth of the samples: what is usual
+    """Far from the true joint the replay is driven into the end of a law in more than a tenth of the samples: what is usual
     there is no measure. No unknown moves a residual by a million newton metres in a standard deviation."""
     drawn = draw(Challenge(hidden="two", seed=1003, real=True), 19)
     problem = Problem(*segments(list(drawn.measurement.recordings), drawn.nominal), drawn.nominal)

@@ -13,10 +13,10 @@ from hidden_joint import measure
 from benchmarks import band_draws as bands
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.extension import calibrated
-from flexspline.diagnosis.fit.regions import Region, drawn_back, held_out_regions, region_masks, valid_range
+from flexspline.diagnosis.fit.regions import Region, held_out_regions, region_masks, shrunk, valid_range
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter, covariances, evaluate_point, with_dispersion
-from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
+from flexspline.diagnosis.search.calibrate import calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.uncertainty import growth, larger, of_description, stated
 from flexspline.diagnosis.validate import validate
@@ -39,20 +39,20 @@ def fitted() -> tuple[Draw, Problem, Fit]:
     return (
         drawn,
         problem,
-        with_dispersion(problem, calibrate(Fitter(problem), CalibrateSettings(iterations=4))),
+        with_dispersion(problem, calibrate(Fitter(problem), iterations=4)),
     )
 
 
 def test_what_is_drawn_back_is_known_no_better_than_that():
     """A number that is left as described is off by what the data say of it, and what it leaves cannot be held."""
     drawn, problem, fit = fitted()
-    pulled = drawn_back(problem, fit, serves=lambda f: abs(f.theta).sum() < 0.6 * abs(fit.theta).sum())
+    pulled = shrunk(problem, fit, lambda f: abs(f.theta).sum() < 0.6 * abs(fit.theta).sum())
     assert 0.0 < pulled.share < 0.5
-    told = {}
+    reported = {}
     for share, f in ((1.0, fit), (pulled.share, pulled.fit)):
         joint = calibrated(problem, f, drawn.nominal)
-        told[share] = joint, stated(problem, f, joint, pulled.regions)
-    (_, whole), (joint, part) = told[1.0], told[pulled.share]
+        reported[share] = joint, stated(problem, f, joint, pulled.regions)
+    (_, whole), (joint, part) = reported[1.0], reported[pulled.share]
     deviations = dict(zip(part.names, np.sqrt(np.sum(part.matrix**2, axis=1)), strict=True))
     for name in ("Kt", "bw", "Fc"):
         slot = next(s for s in problem.calibration.slots if s.name == name)
@@ -68,8 +68,8 @@ def test_bands_hold_what_was_learned_to_be_left():
     drawn, problem, fit = fitted()
     off = [r + np.array([0.0, 0.5, 0.0]) for r in fit.point.residual]
     shifted = replace(fit, point=replace(fit.point, residual=off))
-    told = stated(problem, shifted, calibrated(problem, shifted, drawn.nominal), held_out_regions(problem, fit))
-    assert told.discrepancy["joint_torque"] > 0.45
+    reported = stated(problem, shifted, calibrated(problem, shifted, drawn.nominal), held_out_regions(problem, fit))
+    assert reported.discrepancy["joint_torque"] > 0.45
 
 
 def test_a_description_that_is_left_says_what_it_leaves():
@@ -82,8 +82,8 @@ def test_a_description_that_is_left_says_what_it_leaves():
         numbers = {**numbers, name: numbers[name].model_copy(update={"value": factor * numbers[name].value})}
     unseen, _, seen = measure(described.model_copy(update={"numbers": numbers}), SEED, exact=True)[0].recordings
     problem = Problem(*segments([seen], described), described)
-    told = of_description(problem, evaluate_point(problem, problem.start(None, ()), ()))
-    known = described.model_copy(update={"uncertainty": told})
+    reported = of_description(problem, evaluate_point(problem, problem.start(None, ()), ()))
+    known = described.model_copy(update={"uncertainty": reported})
     inside = [
         validate(Measurement("m", Path(), (unseen,)), joint).residual["motor_current"].inside
         for joint in (described, known)
@@ -91,7 +91,7 @@ def test_a_description_that_is_left_says_what_it_leaves():
     print(f"seed {SEED}: {inside}")
     assert inside[0] < 0.8 and inside[1] > 0.95
     again = Problem(*segments([seen], known), known)
-    assert of_description(again, evaluate_point(again, again.start(None, ()), ())) == told
+    assert of_description(again, evaluate_point(again, again.start(None, ()), ())) == reported
 
 
 @cache
@@ -104,7 +104,7 @@ def known() -> tuple[Draw, Joint]:
     return drawn, found.model_copy(update=update)
 
 
-def test_covariance_agrees_with_the_deviations_beside_the_numbers():
+def test_covariance_agrees_with_the_deviations_next_to_the_numbers():
     _, joint = known()
     assert joint.uncertainty is not None
     deviation = dict(zip(joint.uncertainty.names, np.sqrt(np.sum(joint.uncertainty.matrix**2, axis=1)), strict=True))
@@ -212,7 +212,7 @@ def test_few_directions_keep_what_matters(rng):
 
 
 def test_larger_covariance_of_one_that_rounding_left_not_positive(rng):
-    """As one of unknowns that the data tell only together: a Cholesky factor of it ended a diagnosis in a traceback."""
+    """As one of unknowns that the data determine only together: a Cholesky factor of it ended a diagnosis in a traceback."""
     direction = rng.normal(size=(3, 1))
     singular = direction @ direction.T
     singular[0, 0] *= 1 - 1e-9

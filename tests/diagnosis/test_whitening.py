@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 from swing import recording
 
 from flexspline.diagnosis.data.segments import BALANCES, CURRENT, Segment, segments
-from flexspline.diagnosis.fit.noise import INTERVAL, SETTINGS, AutoregressiveNoise, Noise, whiten
+from flexspline.diagnosis.fit.noise import BANDS as TIMES
+from flexspline.diagnosis.fit.noise import INTERVAL, AutoregressiveNoise, Noise, whiten
 from flexspline.models.joint import load_joint
 
 AR = np.array([0.5, -0.2])
@@ -38,7 +39,7 @@ def covariance(k: int) -> np.ndarray:
     response = WHITE * lfilter([1.0], [1.0, *-AR], np.eye(1, 400)[0])
     lags = np.correlate(response, response, "full")[len(response) - 1 :][:k]
     found = np.pad(lags, (0, k - len(lags)))
-    for size, time in zip(BANDS, SETTINGS.bands, strict=True):
+    for size, time in zip(BANDS, TIMES, strict=True):
         found = found + size**2 * np.exp(-INTERVAL * np.arange(k) / time)
     return toeplitz(found)
 

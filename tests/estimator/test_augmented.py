@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.draws import DrawnExperiment, draw, rms
 from flexspline.estimator import registry
 from flexspline.models.signals import Signals
-from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw, rms
 from flexspline.scenarios.scenario import load_scenario
 
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import flexspline as fs
+from benchmarks.draws import geometric
 from benchmarks.independent import error, measured
 from flexspline.estimator import registry
-from flexspline.scenarios.evaluation.draws import geometric
 
 
 def ratios(seeds, imperfect, duration=None):

@@ -1,8 +1,8 @@
-"""The start from a plain regression: effects that it puts beyond the joint's tolerances, fitted in the replay by least squares.
+"""Start of the search with one encoder: a plain regression, and least squares in the replay.
 
-With one encoder a measurement says of a joint what a regression of its torque on its motion says: gravity, inertia, friction,
-offset, torque constant. Each of these numbers is a cause of the library. A number that the regression knows, and that lies beyond
-what the description leaves open, starts in the model; everything else has to be found.
+With one encoder a measurement determines what a regression of its torque on its motion does: gravity, inertia, friction, offset,
+torque constant. Each of these numbers is a cause of the library. A number that the regression puts beyond its tolerance starts in
+the model.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ CAUSES = {
     "arm_scale": ("arm_load", "scale"),
     "link_friction": ("link_friction", "torque"),
 }
-"""Cause and its parameter by what a coefficient of a regression says (`regression.Coefficient.means`)."""
+"""Cause and its parameter by the meaning of a regression's coefficient (`regression.Coefficient.means`)."""
 BEYOND = 3.0
-"""Standard deviations, of tolerance and regression together, from which on a number starts in the model."""
+"""Standard deviations, of tolerance and regression together, from which a number starts in the model."""
 _ITERATIONS = 12
 
 
-def plain_fit(problem: Problem, offered: Sequence[Hypothesis], found: Sequence[Regression]) -> Fit:
-    """The joint with the effects that a regression puts beyond its tolerances, by least squares in motion.
+def regression_fit(problem: Problem, offered: Sequence[Hypothesis], found: Sequence[Regression]) -> Fit:
+    """Fit the joint with the effects that a regression puts beyond its tolerances, by least squares in motion.
 
     Args:
       offered: hypotheses that the measurement can show.
@@ -51,7 +51,7 @@ def plain_fit(problem: Problem, offered: Sequence[Hypothesis], found: Sequence[R
         for c in one.coefficients:
             name, parameter = CAUSES.get(c.means, ("", ""))
             h = next((g for g in offered if g.cause.name == name), None)
-            # Of an effect that the description has, nothing says how sure it is.
+            # The description states no tolerance of its effects.
             assumed = c.tolerance == 0.0 and c.described != 0.0
             if h is None or name in started or assumed or c.beyond <= BEYOND:
                 continue
@@ -65,26 +65,8 @@ def plain_fit(problem: Problem, offered: Sequence[Hypothesis], found: Sequence[R
     return least_squares(problem, model, start)
 
 
-def moving(problem: Problem) -> Fitter:
-    """A fitter of the same problem by least squares in motion."""
-    return Fitter(in_motion(problem), noise=EVEN)
-
-
-def least_squares(problem: Problem, model: Model, start: np.ndarray) -> Fit:
-    """A model by least squares in motion, tempered.
-
-    Residuals within one second are not independent, as the noise of least squares takes them to be. By how much less the data
-    therefore say, the scatter of the score over such pieces says; the noise is made that much louder, so that tolerances hold
-    the numbers of which the data say little (a coarsened posterior: Miller and Dunson, 2019).
-    """
-    fitter = moving(problem)
-    f = fitter.fit(model, start, None, _ITERATIONS)
-    louder = f.noise.louder(dispersion(fitter.problem, f) ** 0.5)
-    return fitter.settle(replace(f, noise=louder), _ITERATIONS)
-
-
-def in_motion(problem: Problem) -> Problem:
-    """The same problem with the samples that a regression counts: at rest and about a reversal friction may be anything."""
+def fitter_in_motion(problem: Problem) -> Fitter:
+    """Return a least-squares fitter of the samples that a regression uses: friction is undefined at rest and at reversals."""
     speed = np.concatenate([np.abs(s.state[:, 3]) for s in problem.segments])
     least = MOVING * float(np.quantile(speed, 0.98))
 
@@ -92,4 +74,16 @@ def in_motion(problem: Problem) -> Problem:
         fast = (np.abs(s.state[:, 3]) > least)[:, None]
         return replace(s, usable=s.usable & fast, held_out=s.held_out & fast)
 
-    return problem.with_segments(moving)
+    return Fitter(problem.with_segments(moving), EVEN)
+
+
+def least_squares(problem: Problem, model: Model, start: np.ndarray) -> Fit:
+    """Fit a model by least squares in motion, tempered.
+
+    Residuals within one second depend on each other, which the noise of least squares ignores. It is therefore multiplied by the
+    `dispersion`, so that tolerances hold numbers that the data hardly determine (a coarsened posterior: Miller and Dunson, 2019).
+    """
+    fitter = fitter_in_motion(problem)
+    f = fitter.fit(model, start, None, _ITERATIONS)
+    louder = f.noise.louder(dispersion(fitter.problem, f) ** 0.5)
+    return fitter.settle(replace(f, noise=louder), _ITERATIONS)

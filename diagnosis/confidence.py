@@ -1,4 +1,4 @@
-"""What was found, cause by cause: what each is worth, and how probable it is."""
+"""Causes of the final model: contribution and confidence of each."""
 
 from __future__ import annotations
 
@@ -13,36 +13,38 @@ from .answer import Finding, ParameterEstimate
 from .conclusion import ANSWER, Conclusion
 from .data.segments import BALANCES
 from .extension import extended
+from .fit.regions import WORSE
 from .fit.residual import Problem
 from .fit.solver import Fit, normal_equations, tamed
 from .improvement import removed
 from .search import discrepancy
-from .search.worth import left_by, noise_of, size_of, without_it, worth_of
+from .search.calibrate import CHANCE
+from .search.contribution import contribution_of, excess, noise_square, size_of, without_effect
 
 
 def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[Finding], list[Finding]]:
-    """The effects of the final model, each with what it is worth, in the order in which they matter: causes, and minor ones.
+    """Return causes and minor effects of the final model, the most important first.
 
-    An effect is minor where it is more probably an imperfection of the kind that every real joint has.
+    An effect is minor if it is more probably an imperfection of the kind that every real joint has.
     """
-    problem, found, final, unknown = conclusion.problem, conclusion.found, conclusion.final, conclusion.unknown
+    problem, found, final = conclusion.problem, conclusion.found, conclusion.final
     held_before, held_after = (held_out_squares(problem, f) for f in (found.base, conclusion.judged))
     explained = max(held_before - held_after, 0.0) / held_before if held_before > 0.0 else 0.0
     linear = tamed(problem, final)
-    worths = [worth_of(problem, final, linear, i).rms for i in range(len(final.model))]
-    total, left = max(sum(w**2 for w in worths), 1e-30), left_by(problem, final)
-    left = (left + ANSWER.chance * noise_of(problem, final)) ** 0.5
-    findings: dict[int, Finding] = {}  # by their places in the model
+    contributions = [contribution_of(problem, final, linear, i).rms for i in range(len(final.model))]
+    total = max(sum(w**2 for w in contributions), 1e-30)
+    left = (excess(problem, final) + CHANCE * noise_square(problem, final)) ** 0.5
+    findings: dict[int, Finding] = {}  # by index in the model
     minor: dict[int, Finding] = {}
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
-        share = float(np.clip(explained * worths[i] ** 2 / total, 0.0, 1.0))
+        share = float(np.clip(explained * contributions[i] ** 2 / total, 0.0, 1.0))
         there, effect = found.probabilities(h.key)
         if h.cause.ripple and not problem.link_measured:
-            there, effect = 0.5 * there, 0.5 * effect  # of motor or gear: one encoder does not say which
-        if unknown is not None and h is unknown.spline:
+            there, effect = 0.5 * there, 0.5 * effect  # one encoder does not separate motor from gear
+        if isinstance(h, discrepancy.Spline):
             findings[i] = Finding(
-                "unknown", unknown.spline.component, min(there, ANSWER.surest), {}, share, worths[i],
-                discrepancy.describe(unknown), discrepancy.depends_on(unknown.spline.variable),
+                "unknown", h.component, min(there, ANSWER.surest), {}, share, contributions[i],
+                h.describe(u), discrepancy.depends_on(h.variable),
             )  # fmt: skip
             continue
         block = problem.place(final.model, i)
@@ -51,19 +53,23 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
             q.name: ParameterEstimate(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
             for q in h.cause.parameters
         }
-        # No answer, whatever it explains: a size at the end of what can be, or found in the encoders' noise.
+        # A size at its bound, or found in the encoders' noise, is not sure, however much it explains.
         beyond = h.at_bound(u) or out_of_proportion(problem, h.cause.name, values) or _diluted(problem, final, i)
         small = effect < max(ANSWER.small * there, ANSWER.likely) or h.cause.name in conclusion.missing
-        small = small or worths[i] < ANSWER.slight * left
+        small = small or contributions[i] < ANSWER.slight * left
         confidence = min(there if small else effect, ANSWER.unsure if beyond else ANSWER.surest, conclusion.surest)
-        one = Finding(h.cause.name, h.cause.component, confidence, parameters, share, worths[i])
+        one = Finding(h.cause.name, h.cause.component, confidence, parameters, share, contributions[i])
         if one.determined:
             (minor if small else findings)[i] = one
     if len(findings) > 1:
-        gained = _gained(conclusion, measurement, linear, list(findings))
+        indices = list(findings)
+        without = [extended(problem, without_effect(problem, final, linear, i), problem.joint) for i in indices]
+        gained = dict(
+            zip(indices, removed(measurement, extended(problem, final, problem.joint), without), strict=False)
+        )
         whole = total + sum(gained.values())
         for i, g in gained.items():
-            both = float(np.hypot(worths[i], g**0.5))
+            both = float(np.hypot(contributions[i], g**0.5))
             share = float(np.clip(explained * both**2 / whole, 0.0, 1.0))
             findings[i] = replace(findings[i], explains=share, worth=both, estimation=g**0.5)
     sizes = [1.0 if h.cause.name == "unknown" else size_of(problem, final, i) for i, h in enumerate(final.model)]
@@ -71,7 +77,7 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
 
 
 def _in_order(findings: dict[int, Finding], sizes: Sequence[float]) -> list[Finding]:
-    """What is worth most first; of what is worth about the same, the one that is the largest for its kind.
+    """Sort by contribution; of about equal ones the largest for its kind first.
 
     Args:
       sizes: of all effects of the model, in ordinary ones.
@@ -84,28 +90,16 @@ def _in_order(findings: dict[int, Finding], sizes: Sequence[float]) -> list[Find
     return found
 
 
-def _gained(conclusion: Conclusion, measurement: Measurement, linear: Fit, indices: Sequence[int]) -> dict[int, float]:
-    """Mean square of estimators' error [N·m]² that each of some effects removes, as far as other unknowns would not instead; none
-    where no torque was measured."""
-    problem, final, joint = conclusion.problem, conclusion.final, conclusion.problem.joint
-    without = []
-    for i in indices:
-        unknown = None if final.model[i].cause.name == "unknown" else conclusion.unknown
-        without.append(extended(problem, without_it(problem, final, linear, i), joint, unknown))
-    gained = removed(measurement, extended(problem, final, joint, conclusion.unknown), without)
-    return dict(zip(indices, gained, strict=False))
-
-
 def explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:
-    """Whether a model with causes leaves more of the simulation's error than the calibrated joint, whatever the evidence says."""
-    before, after = (left_by(problem, f) for f in (base, final))
-    return after > ANSWER.useless * before + (ANSWER.useless - 1) * noise_of(problem, base)
+    """Return whether a model with causes leaves a larger simulation error than the calibrated joint."""
+    before, after = (excess(problem, f) for f in (base, final))
+    return after > WORSE * before + (WORSE - 1) * noise_square(problem, base)
 
 
 def _diluted(problem: Problem, f: Fit, index: int) -> bool:
-    """Whether the acceleration on which an inertia acts is in good part the encoders' noise: it is then found too small.
+    """Return whether much of the acceleration that an inertia acts on is encoder noise, so that it is found too small.
 
-    That is regression dilution, which taking out the noise's share mends to first order only.
+    Taking out the noise's share corrects this regression dilution to first order only.
     """
     cause = f.model[index].cause
     if f.noise_jacobian is None or not {"Jm", "Jl"} & {*cause.sets.values(), *cause.scales}:
@@ -118,7 +112,7 @@ def _diluted(problem: Problem, f: Fit, index: int) -> bool:
 
 
 def held_out_squares(problem: Problem, f: Fit) -> float:
-    """Mean square of held-out residuals beyond the sensors' noise, over all balances [N·m]²; of all where none is held out."""
+    """Mean square of held-out residuals beyond the sensors' noise, over all balances [N·m]²; of all if none is held out."""
     total = 0.0
     moving = [judged & ~s.at_rest[:, None] for judged, s in zip(problem.judged, problem.segments, strict=True)]
     for b in range(len(BALANCES)):
@@ -132,7 +126,7 @@ def held_out_squares(problem: Problem, f: Fit) -> float:
 
 
 def out_of_proportion(problem: Problem, name: str, values: Mapping[str, float]) -> float:
-    """By what factor a cause has its number elsewhere than described, where no description is that wrong; else 0."""
+    """Ratio of a cause's number to the description's where no description is that wrong; else 0."""
     most = causes.get(name).multiple
     if not np.isfinite(most):
         return 0.0
