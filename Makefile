@@ -53,7 +53,7 @@ docs: $(DONE)
 
 # Build a wheel and use it in an empty environment, away from the sources.
 wheel: $(DONE)
-	rm -rf build/wheel
+	rm -rf build/wheel build/lib # setuptools would pack files that are no longer there
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
 	$(PYTHON) -m venv build/wheel/venv
 	build/wheel/venv/$(SCRIPTS)/python -m pip install --quiet build/wheel/*.whl --constraint constraints.txt
@@ -63,7 +63,7 @@ wheel: $(DONE)
 
 # Build the source distribution, and a wheel from it, and check both for a package index.
 package:
-	rm -rf build/package
+	rm -rf build/package build/lib
 	$(PYTHON) -m venv build/package/venv
 	build/package/venv/$(SCRIPTS)/python -m pip install --quiet build twine
 	build/package/venv/$(SCRIPTS)/python -m build --outdir build/package/dist >build/package/log 2>&1 || { cat build/package/log; false; }

@@ -21,7 +21,8 @@ from flexspline.estimator.smoothed import Motion
 from flexspline.models import causes
 from flexspline.models.causes.base import CauseParameter
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Effect, Estimate, Joint
+from flexspline.models.joint import Joint
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import Recording
 
 MOVING = 0.05

@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.draws import DrawnExperiment, rms
 from flexspline.estimator import recursion, registry
 from flexspline.estimator.compliance import measurement_variance
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.files import write_into_place
 from flexspline.scenarios.evaluation import metrics
-from flexspline.scenarios.evaluation.draws import DrawnExperiment, rms
 from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.tables import markdown_table

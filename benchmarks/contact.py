@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         changes = [] if sensors == "ideal" else ["sensors=realistic"]
         scenario, folder = load_scenario("collision", changes)
         found = contact.assess(scenario, folder, estimators(DEFAULT), asked.hours, tolerance, asked.threads)
-        points = contact_views.as_data({one.name: contact.at(one, one.threshold(RATE)) for one in found}, tolerance)
+        points = contact.ranked(found, RATE, tolerance)
         for point in points:
             cells.setdefault(point["estimator"], {})[sensors, tolerance] = cell(point)
         curves = [

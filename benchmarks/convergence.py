@@ -20,7 +20,8 @@ import numpy as np
 import pyarrow.parquet as pq
 from numba import carray, cfunc, types
 
-from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.parameters import SIZE, as_floats
 from flexspline.models.pointers import floats_at, record_at, word_at
 from flexspline.sim import native, plant, verify

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.draws import DrawnExperiment, draw, geometric, rms
 from flexspline.estimator import registry
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator
@@ -27,7 +28,6 @@ from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.errors import InputError
 from flexspline.models.files import write_into_place
 from flexspline.scenarios.evaluation import metrics
-from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw, geometric, rms
 from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim.loop import CONTROL_PERIOD

@@ -20,13 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.draws import geometric
 from flexspline.estimator import registry
 from flexspline.estimator.conditioning import condition
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.offline import prepare
-from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Recording
-from flexspline.scenarios.evaluation.draws import geometric
 from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.views.tables import markdown_table
 

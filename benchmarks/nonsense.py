@@ -28,7 +28,8 @@ import flexspline as fs
 from flexspline.diagnosis.data.mistakes import find_mistakes
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Recording, read_measurement, write_recording
 
 JOINTS = ("csg-14-100-ec45", "csg-17-80-ec60", "csg-20-50-ec90", "csg-25-100-tbm2g", "csg-32-160-ilm70", "test-joint")

@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.draws import draw_of, geometric, rms
 from flexspline.estimator import recursion, registry
 from flexspline.models.errors import InputError
 from flexspline.models.files import write_into_place
-from flexspline.scenarios.evaluation.draws import draw_of, drawn_record, geometric, known_within, rms, varied
+from flexspline.scenarios.evaluation.draws import drawn_record, known_within, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.tables import markdown_table

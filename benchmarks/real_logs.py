@@ -25,7 +25,8 @@ from flexspline.diagnosis.regression import MOVING, regressions
 from flexspline.diagnosis.validate import validate
 from flexspline.models.arm import ArmSpec
 from flexspline.models.datasheet import Datasheet, new_joint
-from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Measurement, Recording, in_arm
 from flexspline.scenarios.evaluation.intervals import Interval
 
@@ -172,7 +173,47 @@ def _mjcf(urdf: Path) -> str:
     return spec.to_xml()
 
 
-LOGS: tuple[Callable[[Path, Path], list[Log]], ...] = (kinova, pendulum, friction, ur3e, tiago)
+FRANKA = """
+0 0 0.333; 1 0 0 0; 4.970684; 0.003875 0.002081 -0.04762; 0.70337 0.70661 0.009117 -0.000139 0.006772 0.019169
+0 0 0; 1 -1 0 0; 0.646926; -0.003141 -0.02872 0.003495; 0.007962 0.02811 0.025995 -0.003925 0.010254 0.000704
+0 -0.316 0; 1 1 0 0; 3.228604; 0.027518 0.039252 -0.066502; 0.037242 0.036155 0.01083 -0.004761 -0.011396 -0.012805
+0.0825 0 0; 1 1 0 0; 3.587895; -0.05317 0.104419 0.027454; 0.025853 0.019552 0.028323 0.007796 -0.001332 0.008641
+-0.0825 0.384 0; 1 -1 0 0; 1.225946; -0.011953 0.041065 -0.038437; 0.035549 0.029474 0.008627 -0.002117 -0.004037 0.000229
+0 0 0; 1 1 0 0; 1.666555; 0.060149 -0.014117 -0.010517; 0.001964 0.004354 0.005433 0.000109 -0.001158 0.000341
+0.088 0 0; 1 1 0 0; 0.735522; 0.010517 -0.004252 0.061597; 0.012516 0.010027 0.004815 -0.000428 -0.001196 -0.000741
+"""
+"""Links of a Franka Panda, one a line: position and quaternion in the previous one, mass, centre of mass, inertia as in MJCF
+(Gaz et al., *Dynamic Identification of the Franka Emika Panda Robot*, 2019)."""
+
+
+def franka(shared: Path, folder: Path) -> list[Log]:
+    """Return the seven joints of a Franka Panda: strain wave gears, 1 kHz, an encoder and a torque sensor at the link each."""
+    robot = shared / "robots" / "franka"
+    positions, torques = (np.loadtxt(robot / f"{name}.txt").reshape(-1, 7) for name in ("positions", "torques"))
+    time = np.loadtxt(robot / "time.txt")
+    body = ""
+    links = [line.split("; ") for line in FRANKA.split("\n")[1:-1]]
+    for k, (place, turn, mass, centre, inertia) in reversed(list(enumerate(links, 1))):
+        inertial = f'<inertial pos="{centre}" mass="{mass}" fullinertia="{inertia}"/>'
+        body = f'<body pos="{place}" quat="{turn}"><joint name="joint{k}" axis="0 0 1"/>{inertial}{body}</body>'
+    model = folder / "franka.xml"
+    model.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>", encoding="utf-8")
+    found = []
+    for k in range(1, 8):
+        sheet = Datasheet(
+            "CSG", 25 if k < 5 else 17, 100, {"Kt": 0.1, "R": 0.5, "L": 5e-4, "Jm": 1e-4}, {"counts": 1 << 14}, {"bits": 19},
+            name=f"franka-{k}", tolerances={"Jm": 1.0},
+        )  # fmt: skip
+        joint = new_joint(sheet, folder / f"franka_{k}.yaml").joint
+        columns = {"link_position": positions[:, k - 1], "joint_torque": torques[:, k - 1]}
+        others = {f"arm_joint{i}_position": positions[:, i - 1] for i in range(1, 8) if i != k}
+        recording = Recording(f"joint_{k}", time, columns)
+        carried = in_arm(recording, ArmSpec(model=model.name, joint=f"joint{k}"), others, model, folder, folder)
+        found.append(cut(f"Franka Panda, joint {k}", joint, [carried]))
+    return found
+
+
+LOGS: tuple[Callable[[Path, Path], list[Log]], ...] = (kinova, pendulum, friction, ur3e, tiago, franka)
 
 
 # --- outcomes --------------------------------------------------------------------------------------------------------

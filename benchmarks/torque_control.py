@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.draws import median
 from benchmarks.torque_loops import DEFAULT, Loop, assess
 from flexspline.estimator import registry
-from flexspline.scenarios.evaluation.intervals import Interval, median
+from flexspline.scenarios.evaluation.intervals import Interval
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.tables import markdown_table
 

@@ -22,7 +22,7 @@ import numpy as np
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator, KnownJoint
 from flexspline.models.errors import InputError
-from flexspline.models.joint import LOCKED, Mounting
+from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.kernels import kernel
 from flexspline.scenarios.evaluation.draws import drawn_record, known_within, varied
 from flexspline.scenarios.experiment import Experiment

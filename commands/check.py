@@ -15,8 +15,9 @@ from ._measurement import load_measurement
 from ._options import MeasurementPath, OtherJoint, with_plugins
 
 if TYPE_CHECKING:
-    from ..diagnosis.data.coverage import RecordingSummary
-    from ..models.recording import Recording
+    from ..diagnosis.data.coverage import Balance, RecordingSummary
+    from ..estimator.conditioning import Coarse
+    from ..models.recording import Measurement, Recording
 
 EXAMPLES = (
     "flexspline check measurement",
@@ -81,18 +82,8 @@ def command(
     corrected = ", as corrected" if any(m.sure for m in mistakes) else ""
     title = f"{given.name}: {len(summaries)} recording(s) of {described.name}{corrected}"
     print_table(terminal, title, ("", *(s.name for s in summaries)), _rows(data.recordings, summaries))
-    for recording, s in zip(data.recordings, summaries, strict=True):
-        for line in _remarks(recording, s):
-            terminal.print(f"{s.name}: {line}")
-    for one in coarse:
-        terminal.print(f"{one.text}; a diagnosis accounts for it")
-    if missing:
-        terminal.print(f"missing: {', '.join(missing)}")
-    if any("motor_current" in r and "motor_torque" in r for r in data.recordings):
-        terminal.print("`motor_current` takes precedence over `motor_torque`")
-    for balance in found:
-        some = "" if len(balance.recordings) == len(data.recordings) else f" ({', '.join(balance.recordings)})"
-        terminal.print(f"compared: {balance.description}{some}")
+    for line in _lines(data, summaries, coarse, missing, found):
+        terminal.print(line)
     for regression in plain:
         heads = ("shape", f"coefficient [{regression.unit}/…]", "meaning", "described")
         print_table(terminal, f"Plain regression of {regression.title}", heads, regression.rows, 4)
@@ -108,6 +99,26 @@ def command(
     if reasons:
         rows = [(name, causes.get(name).component, reason) for name, reason in reasons.items()]
         print_table(terminal, "Not detectable with this measurement", ("cause", "component", "because"), rows, 3)
+
+
+def _lines(
+    data: Measurement,
+    summaries: Sequence[RecordingSummary],
+    coarse: Sequence[Coarse],
+    missing: Sequence[str],
+    balances: Sequence[Balance],
+) -> Iterator[str]:
+    """Yield remarks on recordings and channels."""
+    for recording, s in zip(data.recordings, summaries, strict=True):
+        yield from (f"{s.name}: {line}" for line in _remarks(recording, s))
+    yield from (f"{one.text}; a diagnosis accounts for it" for one in coarse)
+    if missing:
+        yield f"missing: {', '.join(missing)}"
+    if any("motor_current" in r and "motor_torque" in r for r in data.recordings):
+        yield "`motor_current` takes precedence over `motor_torque`"
+    for balance in balances:
+        some = "" if len(balance.recordings) == len(data.recordings) else f" ({', '.join(balance.recordings)})"
+        yield f"compared: {balance.description}{some}"
 
 
 def _remarks(recording: Recording, s: RecordingSummary) -> Iterator[str]:

@@ -77,7 +77,7 @@ def command(
             task = bar.add_task(f"tolerance ×{share:g}", total=contact.runs_of(loaded, hours))
             advance, at_once = partial(bar.advance, task), jobs or os.cpu_count() or 1
             found = contact.assess(loaded, folder, chosen, hours, share, at_once, advance)
-            detectors += contact_views.as_data({d.name: contact.at(d, d.threshold(rate)) for d in found}, share)
+            detectors += contact.ranked(found, rate, share)
             curves += [row for one in found for row in contact.curve(one, share)]
     given = {
         "--tolerance": shares,

@@ -20,7 +20,9 @@ from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ..diagnosis.answer import Diagnosis
     from ..diagnosis.data.mistakes import Mistake
+    from ..diagnosis.improvement import Improvement
     from ..views.report import Report
 
 _SEARCHING = 0.7
@@ -119,19 +121,7 @@ def show(terminal: Console, report: Report, written: bool) -> None:
     Args:
       report: to print; written: whether it was written, too.
     """
-    from ..views.advice import parameter_text
-    from ..views.report import (
-        HELD_OUT,
-        advice_lines,
-        confused_with,
-        further_reasons,
-        gravity_sentence,
-        held_out_rows,
-        plain,
-        share_line,
-        title,
-        verdict_sentence,
-    )  # fmt: skip
+    from ..views.report import confused_with, further_reasons, gravity_sentence, plain, verdict_sentence
 
     found, gained = report.diagnosis, report.improvement
     page = _Page(terminal)
@@ -144,27 +134,8 @@ def show(terminal: Console, report: Report, written: bool) -> None:
         page.heading("Mistakes in the data")
         for m in found.mistakes:
             page.item(f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); {m.remedy}")
-    for heading, findings in (("Causes", found.causes), ("Minor effects", found.minor)):
-        if findings:
-            page.heading(heading)
-        for c in findings:
-            page.item(f"{title(c)} ({c.component}): {share_line(c, found)}")
-            lines = [c.description] if c.description else []
-            lines += [f"{name} = {parameter_text(name, c, found.extended)}" for name in c.parameters]
-            for line in (*lines, *(advice_lines(c, found) if heading == "Causes" else ())):
-                page.item(line, "    ")
-    if found.residual:
-        page.heading("RMS error on held-out data")
-        rows = held_out_rows(found, gained)
-        cells = [(name, f"{a:.3g}", f"{b:.3g}", f"{noise:.2g}" if noise else "–", u) for name, a, b, noise, u in rows]
-        page.table(("", *HELD_OUT[1:], ""), cells)
-    if found.regions:
-        page.heading("RMS error in regions that no fit saw, the worst first")
-        regions = [
-            (r.name, f"{r.described:.3g}", f"{r.unseen:.3g}", "N·m", "worse than described" if r.worse else "")
-            for r in found.regions[:_REGIONS]
-        ]
-        page.table(("", "described", "extended", "", ""), regions)
+    _show_causes(page, found)
+    _show_errors(page, found, gained)
     if found.problem is not None:
         page.heading("What this measurement does not show")
         for name, others in confused_with(found.confusable):
@@ -180,6 +151,38 @@ def show(terminal: Console, report: Report, written: bool) -> None:
     page.heading("What to do now")
     for line in _commands(report, written):
         terminal.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _show_causes(page: _Page, found: Diagnosis) -> None:
+    from ..views.advice import parameter_text
+    from ..views.report import advice_lines, share_line, title
+
+    for heading, findings in (("Causes", found.causes), ("Minor effects", found.minor)):
+        if findings:
+            page.heading(heading)
+        for c in findings:
+            page.item(f"{title(c)} ({c.component}): {share_line(c, found)}")
+            lines = [c.description] if c.description else []
+            lines += [f"{name} = {parameter_text(name, c, found.extended)}" for name in c.parameters]
+            for line in (*lines, *(advice_lines(c, found) if heading == "Causes" else ())):
+                page.item(line, "    ")
+
+
+def _show_errors(page: _Page, found: Diagnosis, gained: Improvement | None) -> None:
+    from ..views.report import HELD_OUT, held_out_rows
+
+    if found.residual:
+        page.heading("RMS error on held-out data")
+        rows = held_out_rows(found, gained)
+        cells = [(name, f"{a:.3g}", f"{b:.3g}", f"{noise:.2g}" if noise else "–", u) for name, a, b, noise, u in rows]
+        page.table(("", *HELD_OUT[1:], ""), cells)
+    if found.regions:
+        page.heading("RMS error in regions that no fit saw, the worst first")
+        regions = [
+            (r.name, f"{r.described:.3g}", f"{r.unseen:.3g}", "N·m", "worse than described" if r.worse else "")
+            for r in found.regions[:_REGIONS]
+        ]
+        page.table(("", "described", "extended", "", ""), regions)
 
 
 def _where(m: Mistake) -> str:

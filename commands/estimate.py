@@ -15,12 +15,13 @@ from ._measurement import load_measurement
 from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from collections.abc import Iterator
+
     from rich.table import Table
 
     from ..estimator.offline import Estimates, Score
     from ..models.joint import Joint
-    from ..models.recording import Recording
+    from ..models.recording import Measurement, Recording
 
 EXAMPLES = (
     "flexspline estimate measurement --out estimates",
@@ -50,19 +51,9 @@ def command(
     With a joint that states its uncertainty (as `diagnose` writes it), estimates have 95 % bands; estimators that simulate the
     joint's dynamics have bands only if `--filter` names them. Data with a mistake that makes estimates meaningless are refused.
     """
-    from ..diagnosis.data.coverage import SLOWEST
     from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
-    from ..estimator.offline import (
-        SHORTEST,
-        beyond_range,
-        estimate_recording,
-        lacking,
-        score,
-        too_short,
-        useless,
-        write_estimates,
-    )
+    from ..estimator.offline import beyond_range, estimate_recording, lacking, score, useless, write_estimates
     from ..models.files import json_text
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
@@ -75,71 +66,74 @@ def command(
     if out.resolve() == data.folder.resolve():
         raise InputError(f"--out {out}: expected another folder than the measurement's")
     maker = made_from("estimate", measurement)
-    stems = [recording.name for recording in data.recordings]
-    written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]
+    written = [f"{recording.name}{suffix}" for recording in data.recordings for suffix in (".parquet", ".csv", ".yaml")]
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
     unread = require_sound(data, described)
     give_back_free_pages()
-    slow = [r.interval for r in data.recordings if r.interval * SLOWEST > 1.0]
-    if len(slow) == len(data.recordings):
-        raise InputError(
-            f"{measurement}: expected {SLOWEST:g} samples a second at least, got samples that are {slow[0]:.3g} s apart"
-        )
-    if all(map(too_short, data.recordings)):
-        got = "none: too short to estimate"
-        if all(recording.sparse for recording in data.recordings):
-            one = data.recordings[0]
-            got = f"{len(one.gaps)} gaps of more than {one.gap:.2g} s among {len(one.time)} samples"
-        raise InputError(f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got {got}")
+    _check_samples(measurement, data)
     for recording in data.recordings:
         for name, why in lacking(recording, filter_ or ()).items():
-            raise _left_out(recording, name, why)
+            raise _missing(recording, name, why)
     report: dict[str, dict[str, Any]] = {}
-    tables: dict[str, tuple[Path, Table | None]] = {}
-    poor: dict[str, dict[str, tuple[str, dict[str, float]]]] = {}
+    lines: dict[str, list[tuple[Any, str]]] = {}
     bands = described.uncertainty is not None
     with output_folder(out, maker) as folder, tempfile.TemporaryDirectory(dir=folder, prefix=".estimates") as spool:
         for recording in data.recordings:
             found = estimate_recording(recording, described, filter_, bands, Path(spool))
-            beyond = beyond_range(recording, described)
             for name in filter_ or ():
                 if name in found.left_out:
-                    raise _left_out(recording, name, found.left_out[name])
+                    raise _missing(recording, name, found.left_out[name])
             path = out / write_estimates(found, folder).name
             wrong = {m.column: m.description for m in unread if m.recording in ("", recording.name)}
             for column, what in wrong.items():
-                warnings.warn(
-                    f"{recording.name}: {column}: {what}: nothing is scored against it", InputWarning, stacklevel=2
-                )
+                text = f"{recording.name}: {column}: {what}: nothing is scored against it"
+                warnings.warn(text, InputWarning, stacklevel=2)
             scores = {k: v for k, v in score(recording, found, described).items() if k not in wrong}
-            poor[recording.name] = {
+            poor = {
                 what: (f"{what.replace('_', ' ')} is {own:.3g} N·m (RMS)", worse)
                 for what, (own, worse) in useless(recording, scores).items()
             } | _imagined(recording, described, found, scores)
-            report[recording.name] = {
+            one = report[recording.name] = {
                 "joint": described.name,
                 "notes": found.notes,
                 "left_out": found.left_out,
                 "untrusted": found.untrusted,
-                "beyond": beyond,
-                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor[recording.name].items()},
+                "beyond": beyond_range(recording, described),
+                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor.items()},
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
-            shown = scores and not as_json
-            table = _table(recording.name, recording.external, scores, found.untrusted) if shown else None
-            tables[recording.name] = path, table
+            if not as_json:
+                lines[recording.name] = [(f"{path}", "")]
+                if scores:
+                    lines[recording.name].append((_table(recording, scores, found.untrusted), ""))
+                lines[recording.name] += [(f"{recording.name}: {text}", style) for text, style in _remarks(poor, one)]
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
     if as_json:
         print(text)
         return
     terminal = console()
-    for name, (path, table) in tables.items():
-        terminal.print(f"{path}")
-        if table is not None:
-            terminal.print(table)
-        _remarks(terminal, name, poor[name], report[name])
+    for several in lines.values():
+        for line, style in several:
+            terminal.print(line, style=style)
     terminal.print(f"{out / 'metrics.json'}")
+
+
+def _check_samples(path: Path, data: Measurement) -> None:
+    """Refuse data that are too slow or too short for estimates."""
+    from ..diagnosis.data.coverage import SLOWEST
+    from ..estimator.offline import SHORTEST, too_short
+
+    slow = [r.interval for r in data.recordings if r.interval * SLOWEST > 1.0]
+    if len(slow) == len(data.recordings):
+        raise InputError(
+            f"{path}: expected {SLOWEST:g} samples a second at least, got samples that are {slow[0]:.3g} s apart"
+        )
+    if all(map(too_short, data.recordings)):
+        one, got = data.recordings[0], "none: too short to estimate"
+        if all(recording.sparse for recording in data.recordings):
+            got = f"{len(one.gaps)} gaps of more than {one.gap:.2g} s among {len(one.time)} samples"
+        raise InputError(f"{path}: expected a part without gaps of {SHORTEST} samples at least, got {got}")
 
 
 def _imagined(
@@ -159,53 +153,49 @@ def _imagined(
     return {"external_torque": (text, worse)} if worse else {}
 
 
-def _left_out(recording: Recording, name: str, why: str) -> InputError:
+def _missing(recording: Recording, name: str, why: str) -> InputError:
     return InputError(f"{recording.source or recording.name}: filter {name!r}: {why}")
 
 
-def _remarks(
-    terminal: Console, name: str, poor: dict[str, tuple[str, dict[str, float]]], report: dict[str, Any]
-) -> None:
-    """Print remarks on a recording's estimates: wrong ones, extrapolated ones, missing ones."""
-    from ..models.joint import beyond_sentence
+def _remarks(poor: dict[str, tuple[str, dict[str, float]]], report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield remarks on a recording's estimates with their styles: wrong ones, extrapolated ones, missing ones."""
+    from ..models.joint_parts import beyond_sentence
 
     for text, worse in poor.values():
         listed = ", ".join(f"{estimator} {error:.3g}" for estimator, error in worse.items())
-        terminal.print(
-            f"{name}: {text}; errors of more than half of that are no estimates. The joint, its load or the sampling is not as "
+        yield (
+            f"{text}; errors of more than half of that are no estimates. The joint, its load or the sampling is not as "
             f"described. Estimators: {listed}",
-            style="yellow",
+            "yellow",
         )
     for estimator, why in report["untrusted"].items():
-        terminal.print(f"{name}: {estimator} is not to be trusted: {why}", style="yellow")
+        yield f"{estimator} is not to be trusted: {why}", "yellow"
     for key, text in _CONTRADICTED.items():
         off = max((note.get(key, 0.0) for note in report["notes"]), default=0.0)
         if off > 0.0:
-            terminal.print(f"{name}: {text.format(off)}", style="yellow")
+            yield text.format(off), "yellow"
     if report["beyond"]:
-        terminal.print(f"{name}: {beyond_sentence(report['beyond'])}")
+        yield beyond_sentence(report["beyond"]), ""
     for why in dict.fromkeys(report["left_out"].values()):
-        names = ", ".join(estimator for estimator, other in report["left_out"].items() if other == why)
-        terminal.print(f"{name}: {names}: {why}")
+        yield f"{', '.join(name for name, other in report['left_out'].items() if other == why)}: {why}", ""
 
 
-def _table(name: str, external: str, scores: dict[str, dict[str, Score]], untrusted: dict[str, str]) -> Table:
+def _table(recording: Recording, scores: dict[str, dict[str, Score]], untrusted: dict[str, str]) -> Table:
     from rich.text import Text
 
     from ..views.tables import UNTRUSTED, heading, marked, narrow_table
 
-    none = "; there was no external torque" if external == "none" and "external_torque" in scores else ""
-    caption = f"Whole recording, and in motion{none}" + (f";{UNTRUSTED} not to be trusted" if untrusted else "")
-    table = narrow_table(f"{name}: RMS error", caption)
+    none = recording.external == "none" and "external_torque" in scores
+    caption = f"Whole recording, and in motion{'; there was no external torque' if none else ''}"
+    caption += f";{UNTRUSTED} not to be trusted" if untrusted else ""
+    table = narrow_table(f"{recording.name}: RMS error", caption)
     table.add_column("estimator", no_wrap=True)
     for what in scores:
         for words in (what.replace("_", " "), "in motion"):
             table.add_column(heading(words, "N·m"), justify="right", no_wrap=True, vertical="bottom")
     for estimator in dict.fromkeys(name for found in scores.values() for name in found):
-        cells = []
-        for found in scores.values():
-            s = found.get(estimator)
-            figures = (math.nan, math.nan) if s is None else (s.rms, s.rms_moving)
-            cells += ["–" if math.isnan(x) else f"{x:.3f}" for x in figures]
+        rows = [found.get(estimator) for found in scores.values()]
+        figures = [x for s in rows for x in ((math.nan, math.nan) if s is None else (s.rms, s.rms_moving))]
+        cells = ("–" if math.isnan(x) else f"{x:.3f}" for x in figures)
         table.add_row(Text(marked(estimator, {"untrusted": untrusted})), *cells)
     return table

@@ -44,7 +44,7 @@ def command(
     known = KnownJoint.of(described, described.mount(mounting))
     estimator = registry.get(name).scaled(known, interval)
     if not isinstance(estimator, CausalEstimator):
-        raise InputError(f"estimator {name!r}: expected a causal one, got one that looks ahead")
+        raise InputError(f"estimator {name!r}: expected a causal estimator, got a smoother")
     text = header(estimator, known, interval)
     path = Path(f"{name.lower()}.h") if out is None else out
     with write_into_place(path) as temporary:

@@ -17,6 +17,7 @@ from ._options import with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
+    from ..models.joint import Joint
     from ..models.recording import Measurement, Recording
 
 _ENDS = (".parquet", ".yaml", "_arm.xml")
@@ -65,14 +66,11 @@ def command(
     With `--fix`, common mistakes (units, signs, columns exchanged or late, …) are found and corrected. This also works for a
     measurement in this program's format: `flexspline import MEASUREMENT --fix --out DIR`.
     """
-    from ..diagnosis.data.mistakes import find_mistakes, fits_no_better, fixed
     from ..models.files import json_text
     from ..models.output import check_output, output_folder
-    from ..models.recording import edited, ordered, write_recording
     from ._console import console
     from ._mistakes import print_mistakes
 
-    terminal = console()
     if propose:
         if len(what) != 1 or out is not None:
             raise InputError("--propose: expected one log and no --out, as a mapping is printed")
@@ -82,52 +80,24 @@ def command(
         return
     if out is None:
         raise InputError("--out: expected the folder that the recordings are written to, got none")
+    terminal = console()
     measurement, home, inputs = _read(what, joint, name)
-    names = [recording.name for recording in measurement.recordings]
-    written = [f"{stem}{suffix}" for stem in names for suffix in (*_ENDS, ".csv")]
-    if not force:
-        for file in written:
-            if (out / file).exists():
-                raise InputError(f"{out / file}: expected no such file, --force replaces imported files")
+    written = [f"{recording.name}{suffix}" for recording in measurement.recordings for suffix in (*_ENDS, ".csv")]
+    for file in written:
+        if not force and (out / file).exists():
+            raise InputError(f"{out / file}: expected no such file, --force replaces imported files")
     check_output(out, "import", inputs=inputs, writes=written)
     mistakes: list[Mistake] = []
     described = measurement.load_joint(joint)
     if fix:
-        found = find_mistakes(measurement, described)
-        mistakes = [m for m in found if m.sure]
-        for m in found:
-            if not m.sure:
-                warnings.warn(f"{m.where}: not corrected: {m.unmended}", InputWarning, stacklevel=2)
-        given, measurement = measurement, fixed(measurement, described, mistakes)
-        if mistakes and fits_no_better(given, measurement, described):
-            changes = ", ".join(f"{m.where}: {m.change}" if m.where else m.change for m in mistakes)
-            raise InputError(
-                f"{given.path}: --fix: expected data that fit the joint {described.name} better, got none by {changes}; "
-                "nothing was written"
-            )
-        if not as_json and (mistakes or not found):
+        measurement, mistakes, clean = _corrected(measurement, described)
+        if not as_json and (mistakes or clean):
             print_mistakes(terminal, mistakes, corrected=True)
-        if any(m.severe for m in mistakes):  # the correction of one column may show a mistake in another
-            for m in find_mistakes(measurement, described):
-                if m.severe:
-                    text = f"{m.where}: after the correction, {m.description}: check both columns before you use them"
-                    warnings.warn(text, InputWarning, stacklevel=2)
-    imported: dict[str, dict[str, Any]] = {}
     with output_folder(out, "import", inputs=inputs, writes=written) as folder:
-        for recording in measurement.recordings:
-            written_one = replace(recording, joint=_relative_joint(recording.joint, home, out))
-            path = out / write_recording(written_one, folder).name
-            kept = edited(path)
-            if kept:
-                _keep(path.with_suffix(".yaml"), folder / path.name)
-            imported[recording.name] = {
-                "file": str(path),
-                "files": [str(out / f"{path.stem}{end}") for end in _ENDS if (folder / f"{path.stem}{end}").is_file()],
-                "samples": len(recording.time),
-                "seconds": float(recording.time[-1] - recording.time[0]),
-                "columns": list(ordered(recording)),
-                "description_kept": kept,
-            }
+        imported = {
+            recording.name: _write(replace(recording, joint=_relative_joint(recording.joint, home, out)), folder, out)
+            for recording in measurement.recordings
+        }
     if as_json:
         print(json_text({"recordings": imported, "mended": [m.to_json() for m in mistakes]}))
         return
@@ -137,6 +107,54 @@ def command(
         columns = ", ".join(one["columns"])
         others = " and ".join(Path(file).name for file in one["files"][1:])
         terminal.print(f"{one['file']}, with {others}: {one['samples']} samples, {one['seconds']:.2f} s: {columns}")
+
+
+def _corrected(given: Measurement, joint: Joint) -> tuple[Measurement, list[Mistake], bool]:
+    """Return a measurement with sure mistakes corrected, these mistakes, and whether it has no others."""
+    from ..diagnosis.data.mistakes import find_mistakes, fits_no_better, fixed
+
+    found = find_mistakes(given, joint)
+    mistakes = [m for m in found if m.sure]
+    for m in found:
+        if not m.sure:
+            warnings.warn(f"{m.where}: not corrected: {m.unmended}", InputWarning, stacklevel=3)
+    corrected = fixed(given, joint, mistakes)
+    if mistakes and fits_no_better(given, corrected, joint):
+        changes = ", ".join(f"{m.where}: {m.change}" if m.where else m.change for m in mistakes)
+        raise InputError(
+            f"{given.path}: --fix: expected data that fit the joint {joint.name} better, got none by {changes}; "
+            "nothing was written"
+        )
+    if any(m.severe for m in mistakes):  # the correction of one column may show a mistake in another
+        for m in find_mistakes(corrected, joint):
+            if m.severe:
+                text = f"{m.where}: after the correction, {m.description}: check both columns before you use them"
+                warnings.warn(text, InputWarning, stacklevel=3)
+    return corrected, mistakes, not found
+
+
+def _write(recording: Recording, folder: Path, out: Path) -> dict[str, Any]:
+    """Write a recording into a folder that becomes `out`, but keep a YAML file that was edited; return its description."""
+    from ..models.recording import edited, ordered, read_recording, write_recording
+
+    path = write_recording(recording, folder)
+    sidecar = (out / path.name).with_suffix(".yaml")
+    kept = edited(out / path.name)
+    if kept:
+        path.with_suffix(".yaml").write_bytes(sidecar.read_bytes())
+        try:
+            read_recording(path)
+        except InputError as error:
+            text = str(error).replace(str(folder), str(out))
+            raise InputError(f"{sidecar}: expected the edited file to match the new table; {text}") from error
+    return {
+        "file": str(out / path.name),
+        "files": [str(out / f"{path.stem}{end}") for end in _ENDS if (folder / f"{path.stem}{end}").is_file()],
+        "samples": len(recording.time),
+        "seconds": float(recording.time[-1] - recording.time[0]),
+        "columns": list(ordered(recording)),
+        "description_kept": kept,
+    }
 
 
 def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, Path, list[Path]]:
@@ -189,22 +207,6 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
 def _joint_of(recording: Recording, measurement: Measurement) -> str:
     """Return a recording's joint: the name of a shipped joint, or an absolute path."""
     return recording.joint if _is_shipped(recording.joint) else str((measurement.folder / recording.joint).resolve())
-
-
-def _keep(sidecar: Path, table: Path) -> None:
-    """Keep an edited YAML file with a new table.
-
-    Raises:
-      InputError: they do not match.
-    """
-    from ..models.recording import read_recording
-
-    table.with_suffix(".yaml").write_bytes(sidecar.read_bytes())
-    try:
-        read_recording(table)
-    except InputError as error:
-        text = str(error).replace(str(table.parent), str(sidecar.parent))
-        raise InputError(f"{sidecar}: expected the edited file to match the new table; {text}") from error
 
 
 def _is_table(path: str) -> bool:

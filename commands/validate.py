@@ -60,7 +60,7 @@ def command(
 
 
 def _show(terminal: Console, found: Validation, correction: str) -> None:
-    from ..models.joint import beyond_sentence
+    from ..models.joint_parts import beyond_sentence
     from ._console import print_table
     from ._mistakes import print_mistakes
 

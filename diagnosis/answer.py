@@ -173,6 +173,10 @@ class Diagnosis:
         """Whether a known change corrects every severe mistake."""
         return all(m.sure for m in self.mistakes if m.severe)
 
+    def __repr__(self) -> str:
+        named = ", ".join(f"{c.name} {c.confidence:.2f}" for c in self.causes) or "no cause"
+        return f"Diagnosis({self.verdict!r}: {named}{'; ' if self.reasons else ''}{self.reason})"
+
     def _repr_html_(self) -> str:
         causes_ = [
             (

@@ -121,7 +121,7 @@ def _search(
     found = explorer.explore(base, start)
     if time.monotonic() < deadline:
         progress("looking for unknown effects", 0.85)
-        found = _with_unknown(problem, explorer, found)
+        found = _with_unknown(problem, explorer, found, slow)
     else:
         found = replace(found, complete=False)
     if slow and quiet_rms(problem, found.best) > ANSWER.far and time.monotonic() < deadline:
@@ -129,21 +129,24 @@ def _search(
         progress("searching by least squares", 0.9)
         fitter = fitter_in_motion(problem)
         base = fitter.fit((), encoder_zero.zeroed(problem, problem.start(None, ()), ()))
-        other = Explorer(fitter, offered, deadline=deadline).explore(base, base)
+        explorer = Explorer(fitter, offered, deadline=deadline)
+        other = explorer.explore(base, base)
         if _unseen(problem, other.best) < _unseen(problem, found.best):
             found, slow = other, False
     return (found if slow else _serving(problem, explorer, found)), slow
 
 
-def _with_unknown(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
+def _with_unknown(problem: Problem, explorer: Explorer, found: Explored, slow: bool) -> Explored:
     """Add an unknown effect to a result, if that is more probable.
 
-    Far from the noise the causes found may compensate for one: the calibrated joint is looked at first.
+    Far from the noise the causes found may compensate for one: the calibrated joint is looked at first. With one encoder (not
+    `slow`) it must predict unseen regions better, too.
     """
     astray = quiet_rms(problem, found.best) > ANSWER.far and found.best.model
     for at in (found.base, found.best) if astray else (found.best,):
         one = discrepancy.find(explorer.fitter, explorer.posterior(at), found.base, at)
-        if one is not None and (other := explorer.with_unknown(found, one)) is not None:
+        other = None if one is None else explorer.with_unknown(found, one)
+        if other is not None and (slow or _unseen(problem, other.best) < _unseen(problem, found.best)):
             return other
     return found
 
@@ -151,11 +154,12 @@ def _with_unknown(problem: Problem, explorer: Explorer, found: Explored) -> Expl
 def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
     """Drop causes from a result as long as held-out regions are predicted as well without them."""
     best, fitter = found.best, explorer.fitter
-    while any(h.free for h in best.model):
+    if any(not h.free for h in best.model):  # an unknown effect would take the place of any cause
+        return found
+    while best.model:
         fewer = [
             fitter.fit(tuple(g for g in best.model if g is not h), best.theta[alone(problem, best, i)[1]])
             for i, h in enumerate(best.model)
-            if h.free
         ]
         less = min(fewer, key=lambda f: _unseen(problem, f))
         if _unseen(problem, less) > _unseen(problem, best):

@@ -6,7 +6,8 @@ import numpy as np
 
 from ..models import causes
 from ..models.calibration import Calibration, Slot
-from ..models.joint import Effect, Estimate, Joint
+from ..models.joint import Joint
+from ..models.joint_parts import Effect, Estimate
 from .answer import ParameterShift
 from .fit.residual import TIMING, Problem
 from .fit.solver import Fit

@@ -23,7 +23,8 @@ import numpy as np
 
 from ..models import causes, laws
 from ..models.errors import InputError
-from ..models.joint import LOCKED, Joint, Mounting
+from ..models.joint import Joint
+from ..models.joint_parts import LOCKED, Mounting
 from ..models.notebook import listing, paragraph
 from ..models.parameters import GRAVITY
 from ..models.recording import Measurement, Recording
@@ -201,6 +202,11 @@ class Plan:
     def sentences(self) -> list[str]:
         """The proposals, best first."""
         return [self.sentence(p) for p in self.proposals]
+
+    def __repr__(self) -> str:
+        return (
+            f"Plan({len(self.questions)} questions; proposals: {', '.join(p.name for p in self.proposals) or 'none'})"
+        )
 
     def _repr_html_(self) -> str:
         return paragraph("What to measure next") + (

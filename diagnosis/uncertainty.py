@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..models.joint import Joint, Uncertainty
+from ..models.joint import Joint
+from ..models.joint_parts import Uncertainty
 from ..models.parameters import short_way
 from .data.segments import BALANCES, LINK, TORQUE
 from .fit.regions import Region, region_masks, valid_range

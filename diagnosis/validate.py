@@ -29,7 +29,8 @@ from ..estimator.conditioning import Conditioned, as_logged, condition
 from ..models import dynamics
 from ..models.dynamics import State
 from ..models.errors import InputError
-from ..models.joint import EncoderSpec, Joint, ValidRange
+from ..models.joint import Joint
+from ..models.joint_parts import EncoderSpec, ValidRange
 from ..models.kernels import kernel
 from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording
@@ -165,6 +166,10 @@ class Validation:
     fixed: tuple[str, ...] = ()
     recordings: tuple[Channels, ...] = field(default=(), repr=False)
     untared: bool = False
+
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{name} {e.rms:.3g} {e.unit}" for name, e in self.residual.items())
+        return f"Validation({self.joint!r}: RMS error {errors or 'of no channel'})"
 
     def _repr_html_(self) -> str:
         rows = [(name, e.rms, e.noise, e.unit, f"{100 * e.inside:.1f} %") for name, e in self.residual.items()]

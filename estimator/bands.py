@@ -1,15 +1,15 @@
 """Error bands of estimates, from the uncertainty of the joint.
 
-A diagnosed joint states its uncertainty (`models.joint.Uncertainty`). The variance of an estimate is the sum of
+A diagnosed joint states its uncertainty (`models.joint_parts.Uncertainty`). The variance of an estimate is the sum of
 
 * its squared changes along independent directions of the uncertainty (`models.uncertainty`), one standard deviation
-each. Only the directions with the largest effect on three simple torques (from torsion, from current, the link's own)
-are used: all but `LEFT` of the energy;
+  each. Only the directions with the largest effect on three simple torques (from torsion, from current, the link's own)
+  are used: all but `LEFT` of the energy;
 * its change under additional sensor noise;
 * model discrepancy: an error of current and torsion as large as the unexplained part of the description's own data,
-larger outside the range of these, times the estimator's response to such an error; near rest, friction;
+  larger outside the range of these, times the estimator's response to such an error; near rest, friction;
 * its difference from a zero-phase estimate of the same signals: its lag, and the disagreement of two kinds of
-sensors;
+  sensors;
 * its own variance (`Posterior.variance`), if it has one.
 
 Every case repeats the preparation of the recording (zeros, payload, bandwidth). Noise is added at the recording's own
@@ -26,7 +26,8 @@ from typing import TypeVar
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ..models.joint import Joint, Mounting
+from ..models.joint import Joint
+from ..models.joint_parts import Mounting
 from ..models.signals import Signals
 from ..models.uncertainty import independent_changes, moved, principal
 from . import registry, smoothed
@@ -138,12 +139,10 @@ def _smoothed_square(x: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 def _samples(time: np.ndarray) -> int:
-    """Number of samples over which responses are averaged."""
     return max(round(_AVERAGE * _rate(time)), 1)
 
 
 def _rate(time: np.ndarray) -> float:
-    """Samples per second [Hz]."""
     return 1.0 / float(np.median(np.diff(time)))
 
 

@@ -4,13 +4,13 @@
 estimator based on torsion, with the further effects of a joint's record:
 
 * **encoders**: zero and orders of the link encoder, eccentricity of the motor encoder, model discrepancies of the
-link encoder;
+  link encoder;
 * **Tw**: the motor torque from the command in force (without a command, from the reading less its offset), plus
-cogging and model discrepancies at the rotor;
+  cogging and model discrepancies at the rotor;
 * **delay of the link encoder**: it is compared with the rotor's past position. The delayed torsion is extrapolated
-along the line through its last samples (`_AHEAD`);
+  along the line through its last samples (`_AHEAD`);
 * **flexspline**: backlash, hysteresis, model discrepancies. A low-passed torsion drives the Dahl state; encoder
-counts would wear it away.
+  counts would wear it away.
 """
 
 from __future__ import annotations

@@ -4,12 +4,12 @@ All users of a measured recording take it conditioned:
 
 * **Current** is computed from the motor torque, if the drive reported that instead.
 * **Time** is when a sample was taken. A coarse clock, the arrival's clock, or row numbers show in the encoders: a
-sample with a wrong time deviates from the smooth motion by the speed times that error. If even sample times make the
-motion smoother than the stamps do, they are used.
+  sample with a wrong time deviates from the smooth motion by the speed times that error. If even sample times make the
+  motion smoother than the stamps do, they are used.
 * **Repeats.** A reading that did not change while the motion continued is an old one. Values between fresh readings
-follow from the other encoder's motion and the torsion, or from the fresh readings alone.
+  follow from the other encoder's motion and the torsion, or from the fresh readings alone.
 * **Passband** [Hz]: how far the motion may be differentiated twice. Above it the acceleration is mostly noise, which
-is large compared with the current's.
+  is large compared with the current's.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..models.joint import AnalogSpec, EncoderSpec, Joint
+from ..models.joint import Joint
+from ..models.joint_parts import AnalogSpec, EncoderSpec
 from ..models.recording import Recording
 from ..models.signals import CHANNELS, POSITIONS
 from .motion import CUTOFF, SHARE
@@ -158,8 +159,7 @@ def condition(recording: Recording, joint: Joint) -> Conditioned:
 def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[str] = ()) -> Joint:
     """Return the joint with sensors as coarse as a log's readings; the same joint if the description is right.
 
-    The torque of an arm's other links has the tolerance of the gravity moment unless the description states one.
-
+    The torque of an arm's other links has the tolerance of the gravity moment, unless the description has its own.
     Columns in `wrong`, for example in another unit, are ignored.
     """
     changed: dict[str, Any] = {}

@@ -3,13 +3,13 @@
 Three things are not in the textbook:
 
 * **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts contain no new information. The
-position within the count then follows from the model alone, and drifts with the model's errors. After a tenth of a
-second at one count the torque is known only to the count (`_within_count`).
+  position within the count then follows from the model alone, and drifts with the model's errors. After a tenth of a
+  second at one count the torque is known only to the count (`_within_count`).
 * **Contacts are rare**: the noise of τext is small, and large only while the link encoder's innovations exceed their
-variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
+  variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
 * **A delayed link encoder** delays the whole filter: it uses motor readings and commands of the instant of the link
-reading. The state is then advanced to now by the model, through the commands and the motor encoder's readings since,
-with the external torque along a line (`_catch_up`).
+  reading. The state is then advanced to now by the model, through the commands and the motor encoder's readings since,
+  with the external torque along a line (`_catch_up`).
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def _late_step(m, s, c, p, unscented):
     n = int(m.count)
     m.ring[n % RING] = s
     m.count = n + 1.0
-    # Every sample whose link reading has come by now: between the last two.
+    # Every sample whose link reading is available now, between the last two.
     k = int(m.done)
     while k <= n and (k == 0 or m.ring[k % RING].time + p.link_delay <= s.time or n - k >= RING - 2):
         then = m.ring[k % RING]

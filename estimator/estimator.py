@@ -17,15 +17,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..models import causes
+from ..models.chunks import BLOCK, parts
 from ..models.errors import InputError
-from ..models.joint import Joint, Mounting, Sensors
+from ..models.joint import Joint
+from ..models.joint_parts import Mounting, Sensors
 from ..models.kernels import kernel
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals
-from ..models.step import OK, SAMPLE, CompiledStep, PythonStep, Step
-from ..models.streams import BLOCK
+from ..models.step import OK, SAMPLE, Arrays, CompiledStep, PythonStep, Step
 from .errors import FilterDiverged
 from .sensing import LOWPASS, read_joint_torque
 from .trust import Watch
@@ -336,7 +337,7 @@ class Estimator(ABC):
         Raises:
           InputError: a smoother.
         """
-        raise InputError(f"estimator {self.name!r}: expected one that can run in the loop, got one that looks ahead")
+        raise InputError(f"estimator {self.name!r}: expected a causal estimator for the loop, got a smoother")
 
 
 class CausalEstimator(Estimator):
@@ -390,22 +391,31 @@ class CausalEstimator(Estimator):
         """Return the posterior over signals with some of the outputs, block by block. All outputs decide whether it
         is trusted."""
         watch = Watch(joint.rated_torque, self.outputs)
-        arrays = self.step(joint, sample_interval(signals)).arrays()
+        arrays = self.step(joint, interval_of(signals.time)).arrays()
         column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
-        before = None
+        before = np.zeros(len(self.outputs))
         for part, samples in sample_blocks(signals, self.needs, joint, self.reads_command):
             out = np.zeros((len(samples), len(self.outputs)))
-            failed, status = go_on(arrays, samples, out)
-            if failed < len(samples):
-                last = out[failed - 1] if failed or before is None else before
-                k = part.start + failed
-                raise FilterDiverged(self.name, k, float(signals.time[k]), self.reason(status, last))
+            self.advance(arrays, samples, out, part.start, signals.time[part], before)
             watch.add(signals.time[part], out)
             for i, name in enumerate(self.outputs):
                 if name in column:
                     column[name][part] = out[:, i]
             before = out[-1]
         return replace(self.posterior(signals.time, column), untrusted=watch.reason)
+
+    def advance(
+        self, arrays: Arrays, samples: np.ndarray, out: np.ndarray, first: int, time: np.ndarray, before: np.ndarray
+    ) -> None:
+        """Run the step over samples with the number `first` and at times [s]; `before`: the outputs before them.
+
+        Raises:
+          FilterDiverged: an estimate that is not finite.
+        """
+        failed, status = go_on(arrays, samples, out)
+        if failed < len(samples):
+            reason = self.reason(status, out[failed - 1] if failed else before)
+            raise FilterDiverged(self.name, first + failed, float(time[failed]), reason)
 
     def posterior(self, time: np.ndarray, column: Mapping[str, np.ndarray]) -> Posterior:
         """Return outputs by name, shape (n,) each, as a posterior."""
@@ -426,11 +436,6 @@ class CausalEstimator(Estimator):
 def fields_of(record: np.dtype) -> tuple[str, ...]:
     """Return the names of a record's fields, in order."""
     return record.names or ()
-
-
-def sample_interval(signals: Signals) -> float:
-    """Return the time between samples [s] by their clock: `interval_of` of their stamps."""
-    return interval_of(signals.time)
 
 
 def interval_of(time: np.ndarray) -> float:
@@ -483,8 +488,7 @@ def sample_blocks(
         return
     for name in needs:
         signals[name]
-    for begin in range(0, n, block):
-        part = slice(begin, min(begin + block, n))
+    for part in parts(n, block):
         yield part, part_samples(signals, joint, part, reads_command)
 
 
@@ -522,9 +526,7 @@ def fill_samples(
         samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]
 
 
-def go_on(
-    arrays: tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray], samples: np.ndarray, history: np.ndarray
-) -> tuple[int, int]:
+def go_on(arrays: Arrays, samples: np.ndarray, history: np.ndarray) -> tuple[int, int]:
     """Run a step over further samples. `arrays` of `CompiledStep.arrays`; their memory is updated.
 
     Args:

@@ -179,8 +179,6 @@ class _Unit:
 
 
 class _Function:
-    """One function as it is printed."""
-
     def __init__(self, unit: _Unit, name: str, python: Callable[..., Any], arguments: tuple[Any, ...]):
         self.unit, self.name, self.arguments = unit, name, arguments
         self.code = run_frontend(python)
@@ -282,7 +280,6 @@ class _Function:
         return f"{self.variable(name)} = {text};"
 
     def _nothing(self, kind: Any) -> bool:
-        """Whether a type has no value in C."""
         return isinstance(kind, _VALUELESS)
 
     def _expression(self, target: ir.Var, e: ir.Expr) -> str | None:
@@ -299,26 +296,24 @@ class _Function:
             if any(self._nothing(self.types[item.name]) for item in e.items):
                 return None
             return f"({self.unit.c_type(kind)}){{{', '.join(self.of(item) for item in e.items)}}}"
-        if e.op == "exhaust_iter":
-            return self.of(e.value)
         if e.op in ("static_getitem", "getitem"):
             return self._item(e)
-        if e.op == "getattr":
-            return self._attribute(target, e)
         if e.op == "getiter":
             inner = self.types[e.value.name]
             if isinstance(inner, types.BaseTuple):
                 return f"({self.unit.c_type(kind)}){{{self.of(e.value)}, 0}}"
             return self.of(e.value)
-        if e.op == "iternext":
-            return self._next(kind, e)
-        if e.op == "pair_first":
-            return f"{self.of(e.value)}.first"
-        if e.op == "pair_second":
-            return f"{self.of(e.value)}.second"
-        if e.op == "call":
-            return self._call(target, e)
-        raise self._none(e)
+        others: dict[str, Callable[[], str | None]] = {
+            "exhaust_iter": lambda: self.of(e.value),
+            "getattr": lambda: self._attribute(target, e),
+            "iternext": lambda: self._next(kind, e),
+            "pair_first": lambda: f"{self.of(e.value)}.first",
+            "pair_second": lambda: f"{self.of(e.value)}.second",
+            "call": lambda: self._call(target, e),
+        }
+        if e.op not in others:
+            raise self._none(e)
+        return others[e.op]()
 
     def _next(self, kind: Any, e: ir.Expr) -> str:
         at, name = self.of(e.value), self.unit.c_type(kind)
@@ -394,8 +389,9 @@ class _Function:
         if f in (range, builtins.range):
             bounds = {1: ("0", arguments[0], "1"), 2: (*arguments, "1"), 3: tuple(arguments)}[len(arguments)]
             return f"(fs_range){{{', '.join(bounds)}}}"
-        if f is slice:
-            return None
+        return None if f is slice else self._builtin(f, arguments)
+
+    def _builtin(self, f: Any, arguments: list[str]) -> str:
         if f in (min, max):
             text = arguments[0]
             for other in arguments[1:]:

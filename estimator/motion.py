@@ -78,7 +78,7 @@ def _predict(d, q, x, M, F, Q, work):
 
 @kernel
 def _correct(y, offset, x, M, column):
-    """Motion x and its covariance M once a sample y, shape (c,), is seen, in place."""
+    """Update motion x and its covariance M with a sample y, shape (c,), in place."""
     s = M[0, 0] + 1.0
     for j in range(x.shape[1]):
         e = (y[j] - offset[j] - x[0, j]) / s
@@ -153,7 +153,7 @@ def _smooth(time, y, offset, q, scale, square, step, every, block, value, rate, 
                 for r in range(3):
                     state[i, r, j] += gain[r, 0] * e0 + gain[r, 1] * e1 + gain[r, 2] * e2
         first = end
-        if last and count == 1 and b > 0:  # what lies beyond it follows from the interval before
+        if last and count == 1 and b > 0:  # the interval before covers it
             continue
         while first > 0 and (b == 0 or scale * (step * (every * (first - 1))) > t[0]):
             first -= 1
@@ -201,7 +201,6 @@ def passband(time: np.ndarray, cutoff: float = CUTOFF, share: float = SHARE) -> 
 
 
 def _interval(time: np.ndarray) -> float:
-    """Return the median time between samples [s]."""
     return float(np.median(np.diff(time), overwrite_input=True))
 
 
@@ -228,7 +227,7 @@ def smooth(
     interval = _interval(time)
     scale = 2 * np.pi * min(cutoff, share / interval)  # time in units of 1/ωc keeps the covariances near one
     since, y = (np.ascontiguousarray(x, dtype=np.float64) for x in (time, channels))
-    # A last sample on the grid counts as such, whatever its time has lost by rounding.
+    # A last sample on the grid counts in spite of rounding.
     count = int((time[-1] - time[0]) / step + 1e-3) // every + 1
     c = y.shape[1]
     value, rate, acceleration = (np.empty((size, count)) for size in (c, *[c if moving is None else moving] * 2))

@@ -4,16 +4,16 @@ Each segment is prepared first (`prepare`):
 
 * **Current**: from the drive's torque over the torque constant that the drive uses, if it reports torque.
 * **One encoder**: the motion of the other side follows from the description, under the torque of the current (without
-current, of the link). Estimators based on torsion are left out.
+  current, of the link). Estimators based on torsion are left out.
 * **Delay** of the link encoder: its readings are shifted to earlier times.
 * **Zero.** An unknown zero offset between the encoders is an offset of the compliance model, times the stiffness. The
-joint states how well the zero is known (`sensors.link_encoder.zero`: `std`, or else `deviation`). The current
-measures it, within the tolerances of the joint's constants (`track_zero`). The zero may vary with the link angle if
-the link encoder eccentricity has a standard deviation, or if torsion contradicts the current.
+  joint states how well the zero is known (`sensors.link_encoder.zero`: `std`, or else `deviation`). The current
+  measures it, within the tolerances of the joint's constants (`track_zero`). The zero may vary with the link angle if
+  the link encoder eccentricity has a standard deviation, or if torsion contradicts the current.
 * **Load.** If the current contradicts the link's balance in most of the motion, the load is not the described one
-(`load_error`).
+  (`load_error`).
 * **W** of the paper's filters is that of `WALKS` with the most likely innovations of the EKF: it depends on the
-motion, not on the joint.
+  motion, not on the joint.
 
 No estimator reads the columns `joint_torque` and `external_torque`.
 """
@@ -25,26 +25,26 @@ import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ..models import dynamics, laws, streams
+from ..models import dynamics, laws
+from ..models.chunks import StoredColumns, parts
 from ..models.errors import InputError
 from ..models.files import write_into_place
 from ..models.joint import Joint
+from ..models.joint_parts import Mounting
 from ..models.kernels import kernel
 from ..models.recording import Recording
 from ..models.signals import Signals
-from ..models.spool import Spool
 from ..models.tables import ROWS, TableWriter
 from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .conditioning import Conditioned, condition
 from .errors import FilterDiverged
-from .estimator import Estimator, KnownJoint, sample_interval
+from .estimator import Estimator, KnownJoint, interval_of
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
 from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
@@ -106,7 +106,7 @@ class Prepared:
 
     def ready(self, estimator: Estimator) -> Estimator:
         """Return an estimator scaled to joint and sampling, with W and bandwidth of this segment."""
-        interval = sample_interval(self.signals)
+        interval = interval_of(self.signals.time)
         scaled = estimator.scaled(self.known, interval)
         if isinstance(scaled, PaperFilter):
             return scaled.with_noise(scaled.W * self.walk, scaled.V)
@@ -125,7 +125,7 @@ class Estimates:
       name: of the recording.
       time: as in its table, shape (n,) [s].
       torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments
-        of fewer than `SHORTEST` samples. It may be in files (`models.spool`).
+        of fewer than `SHORTEST` samples. It may be in files (`models.chunks`).
       external_torque: external torque on the link by estimator, without that of an arm's motion, likewise.
       left_out: reason by estimator without an estimate: a missing channel, a divergence.
       notes: findings, one entry a segment (`Prepared.note`).
@@ -180,7 +180,7 @@ def estimate_recording(
     joint: Joint,
     names: Sequence[str] | None = None,
     bands: bool = False,
-    spool: Path | None = None,
+    folder: Path | None = None,
     record: np.ndarray | None = None,
     conditioned: Conditioned | None = None,
 ) -> Estimates:
@@ -192,7 +192,7 @@ def estimate_recording(
       names: of the registry; all by default.
       bands: whether to compute error bands (`bands`). Costly estimators (`Estimator.costly`) get them only by name:
         they take ten times the work.
-      spool: a folder for files with the estimates; by default they are in memory.
+      folder: for files with the estimates; by default they are in memory.
       record: parameter record for the estimators instead of the joint's, shape (1,).
 
     Raises:
@@ -207,7 +207,8 @@ def estimate_recording(
         blind = blind.with_columns(arm_torque=arm_torque)
     n = len(recording.time)
     found, deviation = (
-        {what: Spool(n, spool, f"{recording.name}_{kind}{what}") for what in _QUANTITIES} for kind in ("", "deviation_")
+        {what: StoredColumns(n, folder, f"{recording.name}_{kind}{what}") for what in _QUANTITIES}
+        for kind in ("", "deviation_")
     )
     left_out: dict[str, str] = {}
     untrusted: dict[str, str] = {}
@@ -239,22 +240,9 @@ def estimate_recording(
         if bands:
             # Bands simulate the dynamics nine times more: for costly estimators only on request.
             banded = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
-
-            def again(s: Signals, k: KnownJoint, banded: dict[str, Estimator] = banded) -> dict[_Key, np.ndarray]:
-                other: dict[_Key, np.ndarray] = {}
-                _estimate(prepare(s, k), banded, {}, partial(_put, other))
-                return other
-
-            reference = reference_torque(ready.signals, ready.known)
-            seen = {
-                "torque": ready.known.as_read(reference, ready.signals),
-                "external_torque": ready.own_torque - reference,
-            }
-            there = {(what, name): estimates[what, name] for name in banded for what in _QUANTITIES}
-            for key, apart_by in deviations(there, signals, known, joint, recording.link, again).items():
-                apart = disagreement(signals.time, estimates[key], seen[key[0]])
-                own = np.sqrt(beliefs.get(key[1], 0.0))
-                deviation[key[0]].put(key[1], segment, np.sqrt(apart_by**2 + apart**2 + own**2))
+            found_bands = _bands(signals, known, ready, banded, estimates, beliefs, joint, recording.link)
+            for (what, name), values in found_bands.items():
+                deviation[what].put(name, segment, values)
     kept = [name for name in estimators if name not in left_out]
     for columns in found.values():
         columns.keep(kept)
@@ -265,8 +253,35 @@ def estimate_recording(
     )
 
 
-def _put(found: dict[_Key, np.ndarray], what: str, name: str, values: np.ndarray) -> None:
-    found[what, name] = values
+def _bands(
+    signals: Signals,
+    known: KnownJoint,
+    ready: Prepared,
+    banded: Mapping[str, Estimator],
+    estimates: Mapping[_Key, np.ndarray],
+    beliefs: Mapping[str, np.ndarray],
+    joint: Joint,
+    link: Mounting,
+) -> dict[_Key, np.ndarray]:
+    """Return the standard deviations of a segment's estimates, shape (n,) each."""
+
+    def again(s: Signals, k: KnownJoint) -> dict[_Key, np.ndarray]:
+        other: dict[_Key, np.ndarray] = {}
+
+        def take(what: str, name: str, values: np.ndarray) -> None:
+            other[what, name] = values
+
+        _estimate(prepare(s, k), banded, {}, take)
+        return other
+
+    reference = reference_torque(ready.signals, ready.known)
+    seen = {"torque": ready.known.as_read(reference, ready.signals), "external_torque": ready.own_torque - reference}
+    there = {(what, name): estimates[what, name] for name in banded for what in _QUANTITIES}
+    found = {}
+    for key, change in deviations(there, signals, known, joint, link, again).items():
+        lag = disagreement(signals.time, estimates[key], seen[key[0]])
+        found[key] = np.sqrt(change**2 + lag**2 + np.sqrt(beliefs.get(key[1], 0.0)) ** 2)
+    return found
 
 
 def too_short(recording: Recording) -> bool:
@@ -363,7 +378,7 @@ def _estimate(
             untrusted.setdefault(name, posterior.untrusted)
         return None
 
-    # The longest first: what is compiled holds no lock.
+    # The longest first: compiled code does not hold the lock.
     order = sorted(able, key=lambda name: not able[name].costly)
     long = len(ready.signals.time) > _LONG
     alone = [name for name in order if long and not able[name].causal]
@@ -440,7 +455,7 @@ def write_estimates(estimates: Estimates, folder: Path) -> Path:
     path = folder / f"{estimates.name}.parquet"
     units = {name: "s" if name == "time" else "N·m" for name in estimates.part(slice(0, 0))}
     with write_into_place(path) as temporary, TableWriter(temporary, units) as table:
-        for part in streams.parts(len(estimates.time), ROWS, 1):
+        for part in parts(len(estimates.time), ROWS):
             table.write(estimates.part(part))
     return path
 
@@ -530,7 +545,6 @@ def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: 
 
 
 def _shifted(signals: Signals, zero: np.ndarray) -> Signals:
-    """Return the signals with another zero of the link encoder, shape (n,) [rad]."""
     return (
         signals.with_columns(link_position=signals["link_position"] - zero) if "link_position" in signals else signals
     )
@@ -538,7 +552,7 @@ def _shifted(signals: Signals, zero: np.ndarray) -> Signals:
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:
     """Return the factor of `WALKS` with the most likely innovations of the EKF."""
-    interval = sample_interval(signals)
+    interval = interval_of(signals.time)
     measured = registry.get("model").torques(signals, joint).mean
     ekf = registry.get("EKF").scaled(joint, interval)
     assert isinstance(ekf, PaperFilter)

@@ -7,14 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..models.errors import InputError
-from .errors import FilterDiverged
 from .estimator import (
     CausalEstimator,
     KnownJoint,
     Posterior,
     blank_samples,
     fill_samples,
-    go_on,
     interval_of,
 )
 
@@ -70,12 +68,9 @@ class OnlineEstimate:
         Raises:
           FilterDiverged: an estimate that is not finite.
         """
-        records, time = self._samples.of(self.estimator)[part], self._samples.time
-        failed, status = go_on(self._arrays, records, self._history[part])
-        if failed < len(records):
-            at = part.start + failed
-            reason = self.estimator.reason(status, self._history[max(at - 1, 0)])
-            raise FilterDiverged(self.estimator.name, at, float(time[at]), reason)
+        records, history = self._samples.of(self.estimator)[part], self._history
+        before = history[max(part.start - 1, 0)]
+        self.estimator.advance(self._arrays, records, history[part], part.start, self._samples.time[part], before)
         return self.so_far(part)
 
     def so_far(self, part: slice) -> Posterior:

@@ -17,7 +17,7 @@ import math
 
 from ..models.kernels import kernel
 
-_FINE = 0.05  # q/√S: below, the rounding is as good as white noise of variance q²/12
+_FINE = 0.05  # q/√S: below, rounding is white noise of variance q²/12
 _FAR = 6.0  # standard deviations: beyond, the tail's asymptotic moments
 
 

@@ -10,7 +10,6 @@ import pkgutil
 from collections.abc import Iterable
 from dataclasses import is_dataclass
 from functools import cache
-from typing import Any
 
 from ..models import causes, own_sensors, plugins
 from ..models.errors import InputError, nearest
@@ -37,7 +36,7 @@ def get(name: str) -> Estimator:
         return _own()[name]
     others = _others()
     if name in others:
-        return _checked(others[name])
+        return plugins.made(others[name], Estimator, _check)
     raise InputError(f"estimator {name!r}: expected one of {list(names())}{nearest(name, names()) or OWN}")
 
 
@@ -61,11 +60,6 @@ def origin(name: str) -> Origin:
     return plugins.OWN if name in _own() else _others()[name].origin
 
 
-def _estimator(given: Any) -> Any:
-    """Return an estimator; for a class, one with its default tuning."""
-    return given() if isinstance(given, type) and issubclass(given, Estimator) else given
-
-
 @cache
 def _own() -> dict[str, Estimator]:
     found: dict[str, Estimator] = {}
@@ -78,29 +72,11 @@ def _own() -> dict[str, Estimator]:
 
 
 def _others() -> dict[str, Offer]:
-    """Return the estimators of plugins."""
     return plugins.offers("estimators", _own())
 
 
-def _checked(offer: Offer) -> Estimator:
-    """Return a plugin's estimator.
-
-    Raises:
-      InputError: another object, another name than offered, not a frozen dataclass.
-    """
-    where = f"estimator {offer.name!r} of {offer.origin.name}"
-    try:
-        found = _estimator(offer.get())
-    except InputError:
-        raise
-    except Exception as error:  # foreign code
-        raise InputError(f"{where}: {type(error).__name__}: {error}") from error
-    if not isinstance(found, Estimator):
-        raise InputError(f"{where}: expected an Estimator, got {type(found).__name__}")
-    if found.name != offer.name:
-        raise InputError(f"{where}: name: expected {offer.name!r}, its entry point, got {found.name!r}")
+def _check(found: Estimator) -> None:
     if not is_dataclass(found) or not found.__dataclass_params__.frozen:
-        raise InputError(f"{where}: expected a frozen dataclass, got another class")
+        raise InputError("expected a frozen dataclass, got another class")
     if not (isinstance(found.description, str) and isinstance(found.needs, tuple) and isinstance(found.tuning, tuple)):
-        raise InputError(f"{where}: expected text as description and tuples as needs and tuning, got something else")
-    return found
+        raise InputError("expected text as description and tuples as needs and tuning, got something else")

@@ -52,7 +52,8 @@ class Motion(NamedTuple):
 
     def every(self, steps: int) -> Motion:
         """Return every so many-th point of the grid."""
-        return Motion(*(values[::steps].copy() for values in self[:-1]), self.cutoff)
+        names = self._fields[:-1]
+        return self._replace(**{name: getattr(self, name)[::steps].copy() for name in names})
 
     def at(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return values on the grid at other times [s]."""
@@ -84,7 +85,6 @@ def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int
 
 
 def _rotor_link_current(signals: Signals, joint: KnownJoint) -> np.ndarray:
-    """Return rotor and link angle [rad] and current [A], shape (n, 3)."""
     link = link_positions(signals, joint) if "link_position" in signals else None
     found = np.zeros((len(signals.time), 3))
     if link is not None:

@@ -27,7 +27,8 @@ import numpy as np
 
 from .arm import ArmSpec, Load
 from .errors import InputError, nearest
-from .joint import Mounting, shipped
+from .joint import shipped
+from .joint_parts import Mounting
 from .mjcf import check_mjcf
 from .parameters import GRAVITY
 

@@ -1,11 +1,11 @@
-"""What a datasheet leaves open: a joint's tolerances as independent standard normal variables.
+"""Calibration: a joint's tolerances as independent standard normal variables.
 
-Each calibration variable `x_j ~ N(0, 1)` moves one number of the joint (or, where a tolerance is shared, several):
-`value = nominal · f(tolerance, x_own) · f(shared tolerance, x_shared) + deviation · x_own`. Drawing a
-joint within its tolerances is drawing `x`; fitting one is finding `x` with the prior that the joint file states.
-A number that a diagnosis has found is known by its standard deviation instead: what was learned is the prior of the next one.
-A tolerance up to `NARROW` is normal, f = 1 + tolerance · x. A wider one is log-normal, f = (1 + tolerance)^x: a number that is
-known within a factor is as likely half as double, and never negative.
+Each calibration variable `x_j ~ N(0, 1)` changes one number of the joint (or several with a shared tolerance): `value
+= nominal · f(tolerance, x_own) · f(shared tolerance, x_shared) + deviation · x_own`. A draw of `x` is a joint within
+its tolerances; a fit finds `x` with the prior of the joint file. A diagnosed number has its standard deviation
+instead: the result of one diagnosis is the prior of the next. A tolerance up to `NARROW` is normal, f = 1 + tolerance
+· x. A larger one is log-normal, f = (1 + tolerance)^x: half the value is as likely as double, and the number is never
+negative.
 """
 
 from __future__ import annotations
@@ -14,18 +14,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .joint import OPTIONAL_SYMBOLS, SYMBOLS, Joint, Mounting, Number, may_be_zero
+from .joint import Joint
+from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, Mounting, Number, may_be_zero
 from .parameters import PARAMETERS, as_floats, short_way
 
 CUT = 2.5
-"""Joints are drawn with every variable within this many standard deviations."""
+"""Largest number of standard deviations of a drawn variable."""
 WITHIN = 3.0
-"""A number within so many standard deviations of its tolerance is calibration; beyond, it is a cause."""
+"""Standard deviations within which a change is calibration; beyond, it is a cause."""
 
 
 @dataclass(frozen=True)
 class Slot:
-    """A number of the record: `record[field]` or `record[field][index]`, by the name that diagnosis reports."""
+    """A number of the record: `record[field]` or `record[field][index]`, by its name in a diagnosis."""
 
     name: str
     field: str
@@ -33,7 +34,7 @@ class Slot:
     number: Number
 
     def line(self, mounting: Mounting) -> tuple[float, float]:
-        """Factor and summand with which the number comes into a record's place, in a mounting."""
+        """Return factor and summand of the number in a record, in a mounting."""
         if self.field == "Jl":
             return mounting.inertia, 0.0
         if self.field == "Mg":
@@ -42,26 +43,26 @@ class Slot:
 
     @property
     def period(self) -> float:
-        """Of an angle that returns after a turn [rad], 0 for others."""
+        """Of an angle with the period of a turn [rad], 0 for others."""
         return 2 * np.pi if self.field in _ANGLES else 0.0
 
     @property
     def place(self) -> int:
-        """Of the record's floats the one that it is."""
+        """Its index in the record's floats."""
         fields = PARAMETERS.fields
         assert fields is not None
         return fields[self.field][1] // np.dtype(np.float64).itemsize + max(self.index, 0)
 
     def put(self, record: np.ndarray, value: float, mounting: Mounting) -> None:
-        """Put a value of the number into its place in a record, shape (1,), in a mounting."""
+        """Write a value of the number into a record, shape (1,), in a mounting."""
         factor, summand = self.line(mounting)
         as_floats(record)[self.place] = factor * value + summand
 
 
 @dataclass(frozen=True)
 class _Laws:
-    """Of every slot its number's value, its own tolerance and deviation with the index of their variable, a shared tolerance with
-    the index of its variable, the least that the number may be, and its place in a record; shape (len(slots),) each."""
+    """For every slot the number's value, its own tolerance and deviation with the index of their variable, a shared
+    tolerance with the index of its variable, the least value, and its index in a record; shape (len(slots),) each."""
 
     value: np.ndarray
     tolerance: np.ndarray
@@ -78,7 +79,7 @@ class Calibration:
 
     Attributes:
       names: name of each variable, shape (n,): a number's symbol, or the name of a shared tolerance.
-      slots: the numbers that the variables move.
+      slots: the numbers that the variables change.
     """
 
     def __init__(self, joint: Joint):
@@ -106,7 +107,6 @@ class Calibration:
         return x
 
     def _as_arrays(self) -> _Laws:
-        """How every slot's number follows from the variables."""
         joint, none = self.joint, len(self.names)  # the index of a variable that is always zero
         numbers = [s.number for s in self.slots]
         return _Laws(
@@ -121,28 +121,28 @@ class Calibration:
         )  # fmt: skip
 
     def variables(self, slot: Slot) -> list[int]:
-        """Indices of the variables that move a slot's number: its own and a shared one, as far as it has them."""
+        """Return the indices of the variables of a slot's number: its own and a shared one, if it has them."""
         i = self.slots.index(slot)
         return [int(j) for j in (self._laws.own[i], self._laws.shared[i]) if j < self.size]
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """Value of the number of every slot at `x`, shape (len(slots),)."""
+        """Return the numbers of all slots at `x`, shape (len(slots),)."""
         n, x = self._laws, np.append(x, 0.0)
         value = n.value * factor_of(n.tolerance, x[n.own]) + n.deviation * x[n.own]
         return np.maximum(value * factor_of(n.shared_tolerance, x[n.shared]), n.least)
 
     def value(self, slot: Slot, x: np.ndarray) -> float:
-        """Value of one number at `x`."""
+        """Return one number at `x`."""
         return float(self.values(x)[self.slots.index(slot)])
 
     def deviation(self, slot: Slot) -> float:
-        """Standard deviation of one number by its own and its shared tolerance, in its unit."""
+        """Return the standard deviation of one number by its own and its shared tolerance, in its unit."""
         number = slot.number
         shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
         return float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
 
     def reach(self, slot: Slot, within: float) -> float:
-        """By how much one number may be above its value within so many standard deviations, in its unit."""
+        """Return the largest increase of one number within `within` standard deviations, in its unit."""
         number = slot.number
         shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
         wide = [np.log1p(t) for t in (number.tolerance, shared) if t > NARROW]
@@ -150,13 +150,14 @@ class Calibration:
         return max(within * self.deviation(slot), factor * abs(number.value))
 
     def record(self, x: np.ndarray, mounting: Mounting | None = None, effects: bool = True) -> np.ndarray:
-        """Parameter record, shape (1,), of the joint at `x` in a mounting, with the joint's own effects or without."""
+        """Return the parameter record, shape (1,), of the joint at `x` in a mounting, with the joint's own effects or
+        without."""
         mounting = self.joint.mount() if mounting is None else mounting
-        last = self._last.get((mounting, effects))  # what differs from call to call is mostly effects under test
+        last = self._last.get((mounting, effects))  # calls differ mostly in the effects
         if last is not None and np.array_equal(last[0], x):
             return last[1].copy()
         if mounting not in self._bare:
-            # What a slot's number becomes in a record's place is a straight line in it.
+            # A record is linear in a slot's number.
             scale, offset = np.ones(len(self.slots)), np.zeros(len(self.slots))
             for i, slot in enumerate(self.slots):
                 scale[i], offset[i] = slot.line(mounting)
@@ -172,12 +173,13 @@ class Calibration:
     def expresses(
         self, record: np.ndarray, without: np.ndarray, mounting: Mounting | None = None, within: float = WITHIN
     ) -> bool:
-        """Whether all that differs between two records, shape (1,) each, is within tolerance of nominal in the first.
+        """Return whether all differences between two records, shape (1,) each, are within tolerance of nominal in the
+        first.
 
-        A stiffness 25 % up on a joint whose own is 15 % down is an ordinary joint: there is no cause to be found.
+        A stiffness 25 % up on a joint whose own is 15 % down is an ordinary joint: there is no cause to find.
 
         Args:
-          within: standard deviations that count as within tolerance.
+          within: standard deviations within tolerance.
         """
         nominal = self.record(np.zeros(self.size), mounting)
         allowed, period = np.zeros(1, record.dtype), np.zeros(record.nbytes // 8)
@@ -195,24 +197,24 @@ class Calibration:
 
 
 NARROW = 0.5
-"""Largest relative standard deviation of a normal tolerance; a wider one is log-normal."""
+"""Largest relative standard deviation of a normal tolerance; a larger one is log-normal."""
 
 
 def _known(number: Number) -> Number:
-    """A number as well as it is known: one that a diagnosis has found by its standard deviation, not by its data sheet's."""
+    """Return a number with its diagnosed standard deviation, if it has one, instead of its tolerance."""
     if number.std is None:
         return number
     return number.model_copy(update={"tolerance": 0.0, "shared": None, "deviation": number.std})
 
 
 _ANGLES = ("phase", "gravity_angle")
-"""Fields of the record that return after a turn."""
+"""Fields of the record with the period of a turn."""
 _LEAST = 0.3
 _LEAST_SHARE = 1e-3  # of its nominal value, of a number that is not zero
 
 
 def factor_of(tolerance: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """What tolerances make of their numbers at x standard deviations, as factors on them, shape of the arguments."""
+    """Return the factors of tolerances on their numbers at x standard deviations, shape of the arguments."""
     change = tolerance * x
     normal = np.where(
         change > _LEAST - 1, 1 + change, _LEAST * np.exp((np.minimum(change, _LEAST - 1) + 1 - _LEAST) / _LEAST)
@@ -221,7 +223,7 @@ def factor_of(tolerance: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def _least(slot: Slot) -> float:
-    """The least that a number may be: no symbol's and no scale of the link is negative, however wide its deviation."""
+    """Return the least value of a number: no symbol and no scale of the link is negative, however wide its deviation."""
     scale = slot.field in ("Jl", "Mg")
     if slot.field not in SYMBOLS | OPTIONAL_SYMBOLS and not scale:
         return -np.inf
@@ -229,6 +231,6 @@ def _least(slot: Slot) -> float:
 
 
 def slots(joint: Joint) -> list[Slot]:
-    """Every number of a joint that a record has, by the names that diagnosis reports."""
+    """Return every number of a joint in a record, by its name in a diagnosis."""
     numbers = [Slot(symbol, symbol, -1, number) for symbol, number in joint.numbers.items()]
     return [*numbers, *(Slot(*one[:4]) for one in joint.placed())]

@@ -1,8 +1,8 @@
-"""What makers' catalogues say of strain wave gears by series, size and ratio.
+"""Catalogue numbers of strain wave gears by series, size and ratio.
 
-Series of Harmonic Drive component sets: CSF and CSG (cup; CSG is the high-torque one of the same gear) and CSD (flat cup; SHD is
-the same gear as a unit). Torques and stiffnesses on the output side, friction and inertia on the motor side. Between the sizes of
-the tables, and beyond them, the numbers go as powers of the size, as the tables themselves do: torques and stiffnesses with its
+Series of Harmonic Drive component sets: CSF and CSG (cup; CSG has higher torque) and CSD (flat cup; SHD is the same
+gear as a unit). Torques and stiffnesses on the output side, friction and inertia on the motor side. Between and
+outside the tables' sizes, the numbers are powers of the size, as in the tables: torques and stiffnesses with its
 cube, inertia with its fifth power.
 """
 
@@ -24,12 +24,12 @@ SERIES: dict[str, str] = {
     "CSF": "cup", "CSG": "cup", "HFUC": "cup", "SHF": "cup", "SHG": "cup", "LCS": "cup", "LCSG": "cup", "LHS": "cup",
     "LHSG": "cup", "CSD": "flat", "SHD": "flat", "LCD": "flat", "LHD": "flat",
 }  # fmt: skip
-"""Series that are known, and the shape of their flexspline, by which the tables are chosen: those of Harmonic Drive, and
-Leaderdrive's (L…), which are made to the same dimensions."""
+"""Known series, and the shape of their flexspline, which selects the table: those of Harmonic Drive, and
+Leaderdrive's (L…), which have the same dimensions."""
 _STRONG = ("CSG", "SHG", "LCSG", "LHSG")
 
 # By size: T1, T2 [N·m]; then by ratio 50, and 80 and more: K1, K2, K3 [1e4 N·m/rad].
-_KNEES = {14: (2.0, 6.9), 17: (3.9, 12), 20: (7.0, 25), 25: (14, 48), 32: (29, 108), 40: (54, 196)}
+_BREAKPOINTS = {14: (2.0, 6.9), 17: (3.9, 12), 20: (7.0, 25), 25: (14, 48), 32: (29, 108), 40: (54, 196)}
 _STIFFNESS: Mapping[str, Mapping[int, tuple[tuple[float, float, float], tuple[float, float, float]]]] = {
     "cup": {
         14: ((0.34, 0.47, 0.57), (0.47, 0.61, 0.71)), 17: ((0.81, 1.1, 1.3), (1.0, 1.4, 1.6)),
@@ -42,7 +42,7 @@ _STIFFNESS: Mapping[str, Mapping[int, tuple[tuple[float, float, float], tuple[fl
         32: ((4.7, 6.1, 8.4), (6.1, 7.8, 11)), 40: ((8.8, 11, 15), (11, 14, 20)),
     },
 }  # fmt: skip
-# By size, for ratios 50, 80, 100, 120, 160: rated torque at 2000 rpm and limit for repeated peaks [N·m]; none where there is
+# By size, for ratios 50, 80, 100, 120, 160: rated torque at 2000 rpm and limit for repeated peaks [N·m]; missing if there is
 # no such gear.
 _RATED: Mapping[str, Mapping[int, tuple[float, ...]]] = {
     "standard": {
@@ -61,7 +61,7 @@ _PEAK = {
     32: (281, 395, 433, 459, 484), 40: (523, 675, 738, 802, 841),
 }  # fmt: skip
 _PEAK_SHARE = {"strong": 1.0, "standard": 0.77, "flat": 0.53}
-"""Of the strong series' limit for repeated peaks, as the catalogues' tables have it on the whole."""
+"""Limit for repeated peaks over that of the strong series, on average over the catalogues' tables."""
 _STARTING = {
     14: (3.3, 2.4, 2.1), 17: (5.1, 3.3, 2.9, 2.7), 20: (6.6, 4.1, 3.7, 3.3, 2.9), 25: (12, 7.7, 6.9, 6.3, 5.5),
     32: (26, 16, 15, 13, 12), 40: (46, 29, 27, 24, 22),
@@ -70,20 +70,20 @@ _STARTING = {
 _INERTIA = {14: 0.033e-4, 17: 0.079e-4, 20: 0.193e-4, 25: 0.413e-4, 32: 1.69e-4, 40: 4.50e-4}
 """Of the wave generator [kg·m²]."""
 _ACCURACY = {14: 1.5, 17: 1.5, 20: 1.0, 25: 1.0, 32: 1.0, 40: 1.0}
-"""Angular transmission accuracy, from the most to the least [arc minutes]."""
+"""Angular transmission accuracy, peak to peak [arc minutes]."""
 
 
 @dataclass(frozen=True)
 class Gear:
-    """A gear as a catalogue has it.
+    """A gear of a catalogue.
 
     Attributes:
-      series, size, ratio: which one.
-      rated_torque, peak_torque: at 2000 rpm, and repeated [N·m]; knees: T1, T2 [N·m].
+      series, size, ratio: its name.
+      rated_torque, peak_torque: at 2000 rpm, and repeated [N·m]; breakpoints: T1, T2 [N·m].
       stiffness: K1, K2, K3 [N·m/rad].
       starting_torque: at the wave generator [N·m]; inertia: of the wave generator [kg·m²].
-      accuracy: angular transmission accuracy from the most to the least [rad].
-      exact: whether size and ratio stand in the tables; between them the numbers are interpolated.
+      accuracy: angular transmission accuracy, peak to peak [rad].
+      exact: whether size and ratio are in the tables; other numbers are interpolated.
     """
 
     series: str
@@ -91,7 +91,7 @@ class Gear:
     ratio: float
     rated_torque: float
     peak_torque: float
-    knees: tuple[float, float]
+    breakpoints: tuple[float, float]
     stiffness: tuple[float, float, float]
     starting_torque: float
     inertia: float
@@ -100,24 +100,24 @@ class Gear:
 
     @property
     def like(self) -> str:
-        """The series of Harmonic Drive in whose tables it was looked up."""
+        """The series of Harmonic Drive whose tables were used."""
         return "CSD" if SERIES[self.series] == "flat" else "CSG" if self.series in _STRONG else "CSF"
 
     @property
     def name(self) -> str:
-        """As makers write it: `CSG-25-100`."""
+        """As in catalogues: `CSG-25-100`."""
         return f"{self.series}-{self.size:g}-{self.ratio:g}"
 
 
 def gear(series: str, size: float, ratio: float) -> Gear:
-    """What a gear's catalogue says.
+    """Return the catalogue's gear.
 
     Args:
       series: one of `SERIES`, in any case.
-      size: 8 to 65; ratio: 30 to 320. Beyond the tables' 14 to 40 and 50 to 160 their trend goes on.
+      size: 8 to 65; ratio: 30 to 320. Outside the tables' 14 to 40 and 50 to 160 their trend continues.
 
     Raises:
-      InputError: a series that is not known, a size or ratio that no gear has.
+      InputError: an unknown series, or a size or ratio that no gear has.
     """
     kind = series.upper()
     if kind not in SERIES:
@@ -139,10 +139,10 @@ def gear(series: str, size: float, ratio: float) -> Gear:
         few**power * _at_size({s: _at_ratio(row, ratio) for s, row in table.items()}, size, growth)
         for table, power, growth in ((_RATED[rating], 0.55, 3), (_PEAK, 0.55, 3), (_STARTING, -0.5, 2.5))
     )
-    T1, T2 = (_at_size({s: knees[k] for s, knees in _KNEES.items()}, size, 3) for k in (0, 1))
+    T1, T2 = (_at_size({s: breakpoints[k] for s, breakpoints in _BREAKPOINTS.items()}, size, 3) for k in (0, 1))
     return Gear(
         series=kind, size=size, ratio=ratio, rated_torque=rated, peak_torque=_PEAK_SHARE[rating] * peak,
-        knees=(T1, T2), stiffness=(stiffness(0), stiffness(1), stiffness(2)), starting_torque=1e-2 * starting,
+        breakpoints=(T1, T2), stiffness=(stiffness(0), stiffness(1), stiffness(2)), starting_torque=1e-2 * starting,
         inertia=_at_size(_INERTIA, size, 5),
         accuracy=math.radians(_at_size(_ACCURACY, size, 0) / 60),
         exact=size in SIZES and ratio in RATIOS[: len(_PEAK[int(size)])],
@@ -150,12 +150,11 @@ def gear(series: str, size: float, ratio: float) -> Gear:
 
 
 def _at_ratio(row: Sequence[float], ratio: float) -> float:
-    """Of a row by ratio, straight between the ratios and held beyond."""
     return float(np.interp(ratio, RATIOS[: len(row)], row))
 
 
 def _at_size(table: Mapping[int, float], size: float, power: float) -> float:
-    """Of a column by size: a power law between two sizes, and beyond them one of that power."""
+    """Interpolate a column by size: a power law between two sizes, and one of that power outside."""
     edge = min(max(size, SIZES[0]), SIZES[-1])
     inside = np.exp(np.interp(math.log(edge), np.log(SIZES), np.log([table[s] for s in SIZES])))
     return float(inside * (size / edge) ** power)

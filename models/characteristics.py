@@ -1,7 +1,7 @@
-"""What a joint description comes to: stiffness, hysteresis, friction, resonances, what its encoders resolve.
+"""Characteristics of a joint description: stiffness, hysteresis, friction, resonances, resolution of its encoders.
 
-Each with a standard deviation: that of the description's tolerances, or of the diagnosis that wrote it
-(`uncertainty.directions`), to first order.
+Each with a standard deviation by the description's tolerances, or by its diagnosis (`uncertainty.directions`), to
+first order.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .joint import Joint
 from .uncertainty import directions
 
 _POINTS = 121
-_TEST_DRIVE = (1.38e-5 + 8.1e-6) / 0.0603  # A·s²/rad: (Jm + Jw)/Kt of the test joint, whose gains are 8 and 0.08
+_TEST_DRIVE = (1.38e-5 + 8.1e-6) / 0.0603  # A·s²/rad: (Jm + Jw)/Kt of the test joint, with gains 8 and 0.08
 
 
 @dataclass(frozen=True)
@@ -33,20 +33,21 @@ class Resonance:
 
 @dataclass(frozen=True)
 class Characteristics:
-    """What a joint comes to.
+    """Characteristics of a joint.
 
     Attributes:
-      torque: of the output [N·m], shape (n,), from zero to twice the rated one; torsion: of gear and wave generator [rad], rotor
-        locked and friction aside; torsion_deviation: its standard deviation [rad]; stiffness: slope [N·m/rad].
-      loop_torsion [rad], loop_torque [N·m]: a slow loop to the rated torque and back, rotor locked, shape (m,); half_width: half
-        the loop's width at zero torque [rad], half_width_deviation.
-      speed: of the motor [rad/s], shape (n,); friction: of mesh and bearings, seen at the output [N·m], with its standard
+      torque: of the output [N·m], shape (n,), from zero to twice the rated one; torsion: of gear and wave generator
+        [rad], rotor locked, without friction; torsion_deviation: its standard deviation [rad]; stiffness: slope
+        [N·m/rad].
+      loop_torsion [rad], loop_torque [N·m]: a slow loop to the rated torque and back, rotor locked, shape (m,);
+        half_width: half the loop's width at zero torque [rad], half_width_deviation.
+      speed: of the motor [rad/s], shape (n,); friction: of mesh and bearings at the output [N·m], with its standard
         deviation; unloaded, at the reference temperature. output_speed: of the joint [rad/s].
-      resonances: of every mounting that is not a bench.
-      counts: torsion that a count is worth [rad], of motor encoder and link encoder; noise: rms of the torsion that both give
-        [rad]; torque_resolution: what that means as torque at the stiffness of `torque` [N·m rms].
-      sensor_noise: of the joint torque sensor [N·m rms], zero where nothing is said of it.
-      largest_torque: what the motor gives at its current limit, friction aside [N·m]; no_load_speed: of the joint [rad/s].
+      resonances: of every mounting except a bench.
+      counts: torsion of one count [rad], of motor encoder and link encoder; noise: rms of the torsion from both
+        [rad]; torque_resolution: the same as torque at the stiffness of `torque` [N·m rms].
+      sensor_noise: of the joint torque sensor [N·m rms], zero if not described.
+      largest_torque: of the motor at its current limit, without friction [N·m]; no_load_speed: of the joint [rad/s].
     """
 
     torque: np.ndarray
@@ -71,10 +72,10 @@ class Characteristics:
 
 
 def characteristics(joint: Joint) -> Characteristics:
-    """Work out what a description comes to.
+    """Compute the characteristics of a description.
 
     Args:
-      joint: the description, its effects with it.
+      joint: the description with its effects.
 
     Returns:
       Curves, loop, frequencies and resolutions, with standard deviations.
@@ -119,9 +120,9 @@ def characteristics(joint: Joint) -> Characteristics:
 
 
 def drive_gains(joint: Joint) -> tuple[float, float]:
-    """Gains kp [A/rad] and kd [A·s/rad, motor side] of a position controller that is as quick as the test joint's.
+    """Return gains kp [A/rad] and kd [A·s/rad, motor side] of a position controller with the test joint's dynamics.
 
-    In proportion to (Jm + Jw)/Kt: the controller's bandwidth, about 24 Hz, and its damping stay the same.
+    In proportion to (Jm + Jw)/Kt, for the same bandwidth, about 24 Hz, and damping.
     """
     n = {symbol: joint.numbers[symbol].value for symbol in ("Jm", "Jw", "Kt")}
     scale = (n["Jm"] + n["Jw"]) / n["Kt"] / _TEST_DRIVE
@@ -129,7 +130,7 @@ def drive_gains(joint: Joint) -> tuple[float, float]:
 
 
 def _friction(w: float, p: np.void) -> float:
-    """Friction of mesh, rotor and output at a steady motor speed, unloaded, seen at the output [N·m]."""
+    """Return the friction of mesh, rotor and output at a steady motor speed, unloaded, at the output [N·m]."""
     temperature = p["reference_temperature"]
     sliding = laws.stribeck_friction(w, 0.0, 0.0, 0.0, temperature, p)
     own = sliding + laws.viscous_friction(w, temperature, p) + p["bm"] * w
@@ -137,10 +138,12 @@ def _friction(w: float, p: np.void) -> float:
 
 
 def _loop(p: np.void, largest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Torsion [rad] and torque [N·m] of a slow loop of the torque with the rotor locked, shape (m,) each: down, and up again.
+    """Return torsion [rad] and torque [N·m] of a slow loop of the torque with the rotor locked, shape (m,) each:
+    down, and up again.
 
-    As slow as it is, friction follows the way alone: Tf/N = Tw(δ) − s0 z with δ = −θw, and z(θw) between two turns is an
-    exponential (`laws.bristle_step`); so is the Dahl state over the flexspline's torsion where that has hysteresis.
+    In a slow loop friction depends on the travel alone: Tf/N = Tw(δ) − s0 z with δ = −θw, and z(θw) between two
+    reversals is an exponential (`laws.bristle_step`); likewise the Dahl state over the flexspline's torsion with
+    hysteresis.
     """
     N = float(p["N"])
     g = laws.stribeck_friction(0.0, 0.0, 0.0, 0.0, p["reference_temperature"], p)
@@ -158,13 +161,14 @@ def _loop(p: np.void, largest: float) -> tuple[np.ndarray, np.ndarray]:
 def _branch(
     reach: float, spring: Callable[[float], float], friction: float, extent: float, largest: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Deflection, decreasing, and torque of a spring with friction that follows the way, on the way down from the largest torque.
+    """Return deflection, decreasing, and torque of a spring with travel-dependent friction, on the way down from the
+    largest torque.
 
     Args:
       reach: a deflection beyond that of the largest torque.
       spring: its torque.
-      friction: torque that it adds to the spring's while the deflection grows.
-      extent: way over which friction turns round.
+      friction: torque added to the spring's while the deflection grows.
+      extent: travel over which friction reverses.
     """
     grid = np.linspace(0.0, reach, _POINTS)
     torque = np.array([spring(x) for x in grid])
@@ -180,13 +184,12 @@ def _branch(
 
 
 def _half_width(torsion: np.ndarray, torque: np.ndarray) -> float:
-    """Half the distance between the torsions at zero torque on the ways down and up [rad]."""
     half = len(torque) // 2
     return float(abs(np.interp(0.0, torque[:half][::-1], torsion[:half][::-1])))
 
 
 def _resonances(joint: Joint) -> list[Resonance]:
-    """The lowest natural frequency of every mounting, rotor free and held, at no torque and at the rated one."""
+    """Return the lowest natural frequency of every mounting, rotor free and held, at zero and rated torque."""
     rated = joint.numbers["rated_torque"].value
     found = []
     for name, mounting in joint.mountings.items():
@@ -202,7 +205,8 @@ def _resonances(joint: Joint) -> list[Resonance]:
 
 
 def _frequency(p: np.void, held: bool, torque: float) -> float:
-    """Lowest natural frequency [Hz] but zero of rotor, wave generator and link about a torque [N·m] without damping."""
+    """Return the lowest nonzero natural frequency [Hz] of rotor, wave generator and link about a torque [N·m] without
+    damping."""
     N = float(p["N"])
     soft = float(laws.flexspline_stiffness(laws.flexspline_torsion(max(torque, 1e-6), p), p))
     stiff = float(p["Kw0"] * math.exp(p["Cw"] * abs(torque) / N))

@@ -1,7 +1,8 @@
-"""A joint from what its datasheets have: numbers that they do not state are filled by rules of scale, with wide tolerances.
+"""A joint from its datasheets: rules of scale, with wide tolerances, fill the missing numbers.
 
-Every rule says itself in the number's `source`. Those of the gear are its catalogue's (`catalogue.gear`); those of friction,
-damping and sensors are the test joint's proportions, which the measured joints (LARA8, UR3e) share within their tolerances.
+The number's `source` states the rule. Rules of the gear are its catalogue's (`catalogue.gear`). Those of friction,
+damping and sensors are the test joint's proportions, which the measured joints (LARA8, UR3e) share within their
+tolerances.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from typing import Any
 from .catalogue import Gear, gear
 from .errors import InputError, nearest
 from .files import check_name, flow_text, write_into_place
-from .joint import OPTIONAL_SYMBOLS, SYMBOLS, Joint, as_joint, value_fault
+from .joint import Joint, as_joint
 from .joint_mjcf import mjcf_text
+from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, value_fault
 from .parameters import GRAVITY
 from .units import plain
 
 _RULE = "rule: "
-_TYPICAL = 0.4  # relative deviation of what a rule of proportion gives
+_TYPICAL = 0.4  # relative deviation of a rule of proportion
 _FACTOR_2, _FACTOR_3 = 1.0, 2.0  # tolerances: a standard deviation is a factor of 2, of 3
 _DRIVEN = ("N", "Kt", "R", "L", "Jm")
 
@@ -37,7 +39,7 @@ _SCALES: dict[str, dict[str, float]] = {
     "A": {"A": 1.0, "mA": 1e-3},
     "V": {"V": 1.0},
 }
-"""What datasheets write, by the unit that a description has: how much of it one of each is."""
+"""Units in datasheets, by the unit of a description, with their factor."""
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
 _THOUSANDS = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:,\d{3})+(?!\d)")
 _GEAR = re.compile(r"\s*([A-Za-z]+)[-\s]*(\d+)[-\s]+(\d+)(?![\d.])")
@@ -45,7 +47,7 @@ _ENCODER = re.compile(r"\s*(\d+)\s*-?\s*(bits?|counts?)?\s*")
 
 
 def quantity(text: str, symbol: str, where: str) -> float:
-    """A number as datasheets write it (`181 gcm²`, `0.6 mH`), in the unit that a description has; SI where no unit stands.
+    """Return a number of a datasheet (`181 gcm²`, `0.6 mH`) in the unit of a description; SI without a unit.
 
     Args:
       text: number and unit.
@@ -53,7 +55,7 @@ def quantity(text: str, symbol: str, where: str) -> float:
       where: for messages.
 
     Raises:
-      InputError: no number, or a unit that is not this number's.
+      InputError: not a number, or a wrong unit.
     """
     unit = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][0]
     scales = _SCALES.get(plain(unit), {plain(unit): 1.0})
@@ -73,13 +75,14 @@ def quantity(text: str, symbol: str, where: str) -> float:
 
 
 def _bare(unit: str) -> str:
-    """A unit without what people leave out: dots, blanks, signs of powers."""
+    """Return a unit without dots, blanks and signs of powers."""
     text = plain(unit).replace("u", "µ") if unit[:1] == "u" else plain(unit)
     return text.replace("·", "").replace("^", "").replace("Ohm", "ohm")
 
 
 def encoder(text: str, where: str) -> dict[str, int]:
-    """An encoder's resolution, `4096` counts per revolution (after quadrature) or `20 bit`, as `joint.EncoderSpec` has it.
+    """Return an encoder's resolution, `4096` counts per revolution (after quadrature) or `20 bit`, as in
+    `joint_parts.EncoderSpec`.
 
     Raises:
       InputError: neither.
@@ -91,10 +94,10 @@ def encoder(text: str, where: str) -> dict[str, int]:
 
 
 def gear_name(text: str, where: str) -> tuple[str, float, float]:
-    """Series, size and ratio of a gear's name, `CSG-25-100`; what makers write behind it is left out.
+    """Return series, size and ratio of a gear's name, `CSG-25-100`, without the maker's suffix.
 
     Raises:
-      InputError: a name that is not of that form, or of a gear that no catalogue has.
+      InputError: another form, or a gear that no catalogue has.
     """
     found = _GEAR.match(text)
     if found is None:
@@ -108,18 +111,18 @@ def gear_name(text: str, where: str) -> tuple[str, float, float]:
 
 @dataclass(frozen=True)
 class Datasheet:
-    """What the datasheets of gear, motor and encoders say, SI.
+    """Numbers of the datasheets of gear, motor and encoders, SI.
 
     Attributes:
-      name: of the joint; empty: made of the gear's.
+      name: of the joint; empty: from the gear.
       series, size, ratio: of the gear, `CSG`, 25, 100.
-      numbers: what is given of a description's numbers by symbol: Kt [N·m/A], R [ohm], L [H], Jm [kg·m²]; any other may be.
-      motor_encoder, link_encoder: resolutions, as `encoder` gives them.
+      numbers: given numbers of a description by symbol: Kt [N·m/A], R [ohm], L [H], Jm [kg·m²], and others.
+      motor_encoder, link_encoder: resolutions, as of `encoder`.
       motor: its name, for sources.
-      sources: where a given number is from, by symbol, where that is not the motor's or gear's datasheet.
-      tolerances: relative standard deviations of given numbers, where they are not those of a sheet.
-      inertia, gravity_moment: of what is bolted on [kg·m²], [N·m] at horizontal; none: by the gear's size.
-      description: for people; empty: gear and motor.
+      sources: of given numbers by symbol, if not the motor's or gear's datasheet.
+      tolerances: relative standard deviations of given numbers, if not those of a datasheet.
+      inertia, gravity_moment: of the load [kg·m²], [N·m] at horizontal; None: by the gear's size.
+      description: in words; empty: gear and motor.
     """
 
     series: str
@@ -139,7 +142,7 @@ class Datasheet:
 
 @dataclass(frozen=True)
 class Filled:
-    """A number that a rule filled: name and value with unit, relative tolerance (none: it is taken as it is), the rule."""
+    """A number filled by a rule: name and value with unit, relative tolerance (0: exact), the rule."""
 
     name: str
     value: float
@@ -150,13 +153,13 @@ class Filled:
 
 @dataclass(frozen=True)
 class NewJoint:
-    """A description made of datasheets.
+    """A description from datasheets.
 
     Attributes:
       joint: the description.
-      filled: what its rules filled, in its order.
+      filled: numbers filled by rules, in order.
       gear: of the catalogue.
-      path: of the file that it is for.
+      path: of its file.
     """
 
     joint: Joint
@@ -169,14 +172,14 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
     """Describe a joint.
 
     Args:
-      sheet: what is known of it.
-      path: of its file, which names the MJCF beside it; by default the joint's name.
+      sheet: its known numbers.
+      path: of its file, which names the MJCF; by default the joint's name.
 
     Returns:
-      The description, complete, and what was filled by which rule.
+      The complete description, with the rules that filled it.
 
     Raises:
-      InputError: a gear or number that cannot be, or a number that is needed and not given.
+      InputError: an impossible gear or number, or a missing number.
     """
     catalogued = gear(sheet.series, sheet.size, sheet.ratio)
     for symbol, value in sheet.numbers.items():
@@ -186,7 +189,7 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
             raise InputError(fault)
     if sheet.inertia is not None and not sheet.inertia > 0:
         raise InputError(f"inertia: expected a number > 0 kg·m², got {sheet.inertia:g}")
-    given = {"N": float(sheet.ratio)} | dict(sheet.numbers)  # mounted another way, a gear has a turn more
+    given = {"N": float(sheet.ratio)} | dict(sheet.numbers)  # a different mounting adds 1 to the ratio
     missing = [symbol for symbol in _DRIVEN if symbol not in given]
     if missing:
         raise InputError(f"datasheet: expected {', '.join(missing)}, got none")
@@ -231,18 +234,17 @@ _SHARED = {"K1": "stiffness", "K2": "stiffness", "K3": "stiffness", "Fc": "frict
 _OF_MOTOR = ("Kt", "R", "L", "Jm", "current_limit", "supply_voltage", "bm")
 _SHEET = {"N": 0.0, "R": 0.0, "L": 0.0, "supply_voltage": 0.0, "current_limit": 0.0, "T1": 0.0, "T2": 0.0,
           "rated_torque": 0.0, "Kt": 0.05, "Jm": 0.05, "K1": 0.02, "K2": 0.02, "K3": 0.02, "Fc": 0.0, "Fs": 0.1}  # fmt: skip
-"""Relative standard deviation of a number that a sheet states; 0.1 for those that are not here."""
+"""Relative standard deviation of a number in a datasheet; 0.1 for others."""
 
 
 def _given(symbol: str, sheet: Datasheet, catalogued: Gear) -> tuple[float, str]:
-    """Tolerance and source of a number that is given."""
     what = catalogued.name if symbol not in _OF_MOTOR else sheet.motor or "motor"
     source = sheet.sources.get(symbol, f"datasheet of {what}")
     return sheet.tolerances.get(symbol, _SHEET.get(symbol, 0.1)), source
 
 
 def write_joint(joint: Joint, path: Path) -> tuple[Path, Path]:
-    """Write a description as people write one, a line a number, with its MJCF beside it.
+    """Write a description with a line per number, and its MJCF.
 
     Args:
       joint: the description; its `model` names the MJCF.
@@ -296,7 +298,7 @@ def _text(joint: Joint) -> str:
 
 
 class _Rules:
-    """The rules of scale, each by the symbol that it fills: value, relative tolerance, the rule in words."""
+    """The rules of scale by symbol: value, relative tolerance, the rule in words."""
 
     def __init__(self, catalogued: Gear, given: Mapping[str, float]):
         self.gear = catalogued
@@ -306,16 +308,16 @@ class _Rules:
             self.where += ", interpolated"
 
     def of(self, symbol: str) -> tuple[float, float, str]:
-        value, tolerance, rule = _RULES[symbol](self.gear, self)
-        value = float(f"{value:.3g}")
-        self.known[symbol] = value
-        return value, tolerance, rule.replace("CATALOGUE", self.where)
+        function, tolerance, rule = _RULES[symbol]
+        value = self.known[symbol] = float(f"{function(self.gear, self):.3g}")
+        rule = rule.replace("CATALOGUE", self.where).replace("PEAK", f"{self.gear.peak_torque:.3g}")
+        return value, tolerance, rule
 
     def __getitem__(self, symbol: str) -> float:
         return self.known[symbol] if symbol in self.known else self.of(symbol)[0]
 
     def kinematic_error(self) -> list[dict[str, Any]]:
-        """Orders 2 and 4: a share of the catalogue's transmission accuracy, of unknown phase."""
+        """Return orders 2 and 4: a share of the catalogue's transmission accuracy, of unknown phase."""
         amplitude = float(f"{0.28 * self.gear.accuracy:.2g}")
         orders = []
         for order, share, words in ((2, 1.0, "0.28 of"), (4, 1 / 6, "0.28/6 of")):
@@ -330,46 +332,37 @@ class _Rules:
         return orders
 
 
-_RULES: dict[str, Callable[[Gear, _Rules], tuple[float, float, str]]] = {
-    "Jw": lambda g, v: (g.inertia, _FACTOR_2, "CATALOGUE, its wave generator's inertia"),
-    "bm": lambda g, v: (0.03 * v["bw"], _FACTOR_2, "3 % of bw: the mesh holds nearly all viscous friction"),
-    "supply_voltage": lambda g, v: (48.0, 0.0, "48 V, usual for robot joints"),
-    "current_limit": lambda g, v: (
-        (g.peak_torque / v["N"] + v["Fs"]) / v["Kt"],
-        0.0,
-        f"what gives the gear's limit for repeated peaks, {g.peak_torque:.3g} N·m",
+_RULES: dict[str, tuple[Callable[[Gear, _Rules], float], float, str]] = {
+    "Jw": (lambda g, v: g.inertia, _FACTOR_2, "CATALOGUE, its wave generator's inertia"),
+    "bm": (lambda g, v: 0.03 * v["bw"], _FACTOR_2, "3 % of bw: the mesh holds nearly all viscous friction"),
+    "supply_voltage": (lambda g, v: 48.0, 0.0, "48 V, usual for robot joints"),
+    "current_limit": (
+        lambda g, v: (g.peak_torque / v["N"] + v["Fs"]) / v["Kt"], 0.0, "the gear's limit for repeated peaks, PEAK N·m",
     ),
-    "K1": lambda g, v: (g.stiffness[0], 0.05, "CATALOGUE"),
-    "K2": lambda g, v: (g.stiffness[1], 0.05, "CATALOGUE"),
-    "K3": lambda g, v: (g.stiffness[2], 0.05, "CATALOGUE"),
-    "T1": lambda g, v: (g.knees[0], 0.0, "CATALOGUE"),
-    "T2": lambda g, v: (g.knees[1], 0.0, "CATALOGUE"),
-    "rated_torque": lambda g, v: (g.rated_torque, 0.0, "CATALOGUE, at 2000 rpm"),
-    "df": lambda g, v: (0.48e-3 * v["K1"], _TYPICAL, "K1 · 0.48 ms, the test joint's proportion"),
-    "Kw0": lambda g, v: (
-        20 * v["K1"] / v["N"] ** 2,
-        _TYPICAL,
-        "20 K1/N²: the catalogue's K1 to K3 are those of the whole gear",
+    "K1": (lambda g, v: g.stiffness[0], 0.05, "CATALOGUE"),
+    "K2": (lambda g, v: g.stiffness[1], 0.05, "CATALOGUE"),
+    "K3": (lambda g, v: g.stiffness[2], 0.05, "CATALOGUE"),
+    "T1": (lambda g, v: g.breakpoints[0], 0.0, "CATALOGUE"),
+    "T2": (lambda g, v: g.breakpoints[1], 0.0, "CATALOGUE"),
+    "rated_torque": (lambda g, v: g.rated_torque, 0.0, "CATALOGUE, at 2000 rpm"),
+    "df": (lambda g, v: 0.48e-3 * v["K1"], _TYPICAL, "K1 · 0.48 ms, the test joint's proportion"),
+    "Kw0": (
+        lambda g, v: 20 * v["K1"] / v["N"] ** 2, _TYPICAL, "20 K1/N²: the catalogue's K1 to K3 are of the whole gear",
     ),
-    "Cw": lambda g, v: (0.03 * v["N"] / v["rated_torque"], _TYPICAL, "3 % stiffer at rated torque"),
-    "dw": lambda g, v: (
-        0.8 * math.sqrt(v["Kw0"] * v["Jm"] * v["Jw"] / (v["Jm"] + v["Jw"])),
-        _TYPICAL,
+    "Cw": (lambda g, v: 0.03 * v["N"] / v["rated_torque"], _TYPICAL, "3 % stiffer at rated torque"),
+    "dw": (
+        lambda g, v: 0.8 * math.sqrt(v["Kw0"] * v["Jm"] * v["Jw"] / (v["Jm"] + v["Jw"])), _TYPICAL,
         "damping ratio 0.4 of rotor against wave generator",
     ),
-    "Fs": lambda g, v: (g.starting_torque, 0.1, "CATALOGUE, starting torque of the component set, without seals"),
-    "Fc": lambda g, v: (0.8 * v["Fs"], 0.0, "0.8 Fs, the test joint's proportion"),
-    "vs": lambda g, v: (2.0, _TYPICAL, "the test joint's"),
-    "s0": lambda g, v: (v["Fc"] / 1.8e-3, _TYPICAL, "Fc / 1.8 mrad, the test joint's presliding"),
-    "s1": lambda g, v: (1e-3 * v["s0"], _TYPICAL, "s0 · 1 ms, the test joint's proportion"),
-    "bw": lambda g, v: (v["Fc"] / 200, _FACTOR_3, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"),
-    "bl": lambda g, v: (
-        0.02 * (g.size / 17) ** 3,
-        _FACTOR_2,
-        "output bearing, with the cube of the size from the test joint's",
-    ),
-}
-"""Value, relative tolerance and rule by symbol, from the gear and the numbers that are known by then."""
+    "Fs": (lambda g, v: g.starting_torque, 0.1, "CATALOGUE, starting torque of the component set, without seals"),
+    "Fc": (lambda g, v: 0.8 * v["Fs"], 0.0, "0.8 Fs, the test joint's proportion"),
+    "vs": (lambda g, v: 2.0, _TYPICAL, "the test joint's"),
+    "s0": (lambda g, v: v["Fc"] / 1.8e-3, _TYPICAL, "Fc / 1.8 mrad, the test joint's presliding"),
+    "s1": (lambda g, v: 1e-3 * v["s0"], _TYPICAL, "s0 · 1 ms, the test joint's proportion"),
+    "bw": (lambda g, v: v["Fc"] / 200, _FACTOR_3, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"),
+    "bl": (lambda g, v: 0.02 * (g.size / 17) ** 3, _FACTOR_2, "output bearing: the test joint's, by the cube of the size"),
+}  # fmt: skip
+"""Value, relative tolerance and rule by symbol, from the gear and the numbers known so far."""
 
 
 def _mountings(sheet: Datasheet, catalogued: Gear, value: Mapping[str, float]) -> dict[str, Any]:
@@ -434,7 +427,6 @@ def _description(sheet: Datasheet, catalogued: Gear) -> str:
 
 
 def _filled(data: Mapping[str, Any], sheet: Datasheet) -> list[Filled]:
-    """What rules filled, in a description's order."""
     found = []
     rows = dict(data["numbers"])
     for order in data["kinematic_error"]:

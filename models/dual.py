@@ -46,7 +46,7 @@ _REAL = (types.Float, types.Integer)
 
 
 class _Tangent(types.Type):
-    """Derivatives, one vector."""
+    pass
 
 
 class Dual(types.Type):
@@ -115,7 +115,6 @@ class _MemoryModel(models.StructModel):
 
 
 def _splat(builder: Any, x: Any) -> Any:
-    """Return a number in all lanes."""
     one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), x, ir.Constant(ir.IntType(32), 0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
     return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
@@ -187,44 +186,40 @@ def _is_pair(args: tuple[types.Type, ...]) -> bool:
     return len(args) == 2 and dual in args and all(a == dual or isinstance(a, _REAL) for a in args)
 
 
-def _with_operation(name: Any, operation: Callable[..., tuple[Any, Any]]) -> None:
+def _register(name: Any, result: types.Type, lowered: Callable[..., Any]) -> None:
+    """Define an operation on a pair: `lowered(builder, x, dx, y, dy)`, value and derivatives or a truth value."""
+
     @infer_global(name)
     class _Typed(AbstractTemplate):
         def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
-            return signature(dual, *args) if _is_pair(args) else None
+            return signature(result, *args) if _is_pair(args) else None
 
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         (x, dx), (y, dy) = (_parts(context, builder, k, a) for k, a in zip(sig.args, args, strict=True))
-        return _made(context, builder, *operation(builder, x, dx, y, dy))
+        found = lowered(builder, x, dx, y, dy)
+        return _made(context, builder, *found) if result == dual else found
 
     for pair in _PAIRS:
         lower_builtin(name, *pair)(lower)
 
 
-def _with_comparison(name: Any, sign: str) -> None:
-    @infer_global(name)
-    class _Typed(AbstractTemplate):
-        def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
-            return signature(types.boolean, *args) if _is_pair(args) else None
+def _differ(builder: Any, x: Any, dx: Any, y: Any, dy: Any) -> Any:
+    zero = ir.Constant(_VECTOR, [0.0] * LANES)
+    apart = builder.fcmp_unordered("!=", dx or zero, dy or zero)
+    any_apart = builder.icmp_unsigned("!=", builder.bitcast(apart, ir.IntType(LANES)), ir.IntType(LANES)(0))
+    return builder.or_(builder.fcmp_unordered("!=", x, y), any_apart)
 
-    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
-        (x, dx), (y, dy) = (_parts(context, builder, k, a) for k, a in zip(sig.args, args, strict=True))
-        if sign in ("==", "!="):
-            zero = ir.Constant(_VECTOR, [0.0] * LANES)
-            apart = builder.fcmp_unordered("!=", dx or zero, dy or zero)
-            any_apart = builder.icmp_unsigned("!=", builder.bitcast(apart, ir.IntType(LANES)), ir.IntType(LANES)(0))
-            differ = builder.or_(builder.fcmp_unordered("!=", x, y), any_apart)
-            return differ if sign == "!=" else builder.not_(differ)
-        return builder.fcmp_ordered(sign, x, y)
 
-    for pair in _PAIRS:
-        lower_builtin(name, *pair)(lower)
+def _compare(sign: str) -> Callable[..., Any]:
+    return lambda builder, x, dx, y, dy: builder.fcmp_ordered(sign, x, y)
 
 
 for _name, _operation in _OPERATIONS.items():
-    _with_operation(_name, _operation)
-for _name, _symbol in (_COMPARISONS | {operator.eq: "==", operator.ne: "!="}).items():
-    _with_comparison(_name, _symbol)
+    _register(_name, dual, _operation)
+for _name, _symbol in _COMPARISONS.items():
+    _register(_name, types.boolean, _compare(_symbol))
+_register(operator.ne, types.boolean, _differ)
+_register(operator.eq, types.boolean, lambda builder, *parts: builder.not_(_differ(builder, *parts)))
 
 
 @infer_global(operator.neg)
@@ -251,7 +246,6 @@ def _lower_cast(context: Any, builder: Any, fromty: types.Type, toty: types.Type
 
 @intrinsic
 def _value(typingctx: Any, x: Any) -> Any:
-    """The value of a dual number; a plain number unchanged."""
 
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         return _parts(context, builder, sig.args[0], args[0])[0]
@@ -278,32 +272,9 @@ chained: Any = _chain_rule
 """`chained(x, value, slope)` in a kernel: a function of a dual number with known value and slope."""
 
 
-def _with_function(function: Any, kernel: Callable[[Any], Any]) -> None:
-    def typed(x):
-        return kernel if x == dual else None
-
-    overload(function)(typed)
-
-
-def _sin(x):
-    return chained(x, math.sin(value_of(x)), math.cos(value_of(x)))
-
-
-def _cos(x):
-    return chained(x, math.cos(value_of(x)), -math.sin(value_of(x)))
-
-
 def _exp(x):
     y = math.exp(value_of(x))
     return chained(x, y, y)
-
-
-def _expm1(x):
-    return chained(x, math.expm1(value_of(x)), math.exp(value_of(x)))
-
-
-def _log(x):
-    return chained(x, math.log(value_of(x)), 1.0 / value_of(x))
 
 
 def _sqrt(x):
@@ -316,23 +287,26 @@ def _tanh(x):
     return chained(x, y, 1.0 - y * y)
 
 
-def _floor(x):
-    return math.floor(value_of(x))
+_FUNCTIONS: dict[Any, Callable[[Any], Any]] = {
+    math.sin: lambda x: chained(x, math.sin(value_of(x)), math.cos(value_of(x))),
+    math.cos: lambda x: chained(x, math.cos(value_of(x)), -math.sin(value_of(x))),
+    math.exp: _exp,
+    math.expm1: lambda x: chained(x, math.expm1(value_of(x)), math.exp(value_of(x))),
+    math.log: lambda x: chained(x, math.log(value_of(x)), 1.0 / value_of(x)),
+    math.sqrt: _sqrt,
+    math.tanh: _tanh,
+    math.floor: lambda x: math.floor(value_of(x)),
+    np.sign: lambda x: np.sign(value_of(x)),
+    abs: lambda x: x if value_of(x) >= 0.0 else -x,
+}
 
 
-def _sign(x):
-    return np.sign(value_of(x))
+def _overload(function: Any, kernel: Callable[[Any], Any]) -> None:
+    overload(function)(lambda x: kernel if x == dual else None)
 
 
-def _abs(x):
-    return x if value_of(x) >= 0.0 else -x
-
-
-for _function, _kernel in (
-    (math.sin, _sin), (math.cos, _cos), (math.exp, _exp), (math.expm1, _expm1), (math.log, _log), (math.sqrt, _sqrt),
-    (math.tanh, _tanh), (math.floor, _floor), (np.sign, _sign), (abs, _abs),
-):  # fmt: skip
-    _with_function(_function, _kernel)
+for _function, _kernel in _FUNCTIONS.items():
+    _overload(_function, _kernel)
 
 
 @overload(min)
@@ -401,7 +375,6 @@ def _moved(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any, 
 
 
 def _field(kind: DualRecord, name: str) -> tuple[Any, int]:
-    """Return type and offset of a field of a record of dual numbers."""
     of: Any = kind.record.typeof(name)
     found = DualArray(of.shape[1:]) if isinstance(of, types.NestedArray) else dual
     return found, kind.record.offset(name) // 8

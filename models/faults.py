@@ -1,4 +1,4 @@
-"""What can be wrong with a joint's numbers, whoever reads them: a fault, and numbers that contradict each other."""
+"""Faults of a joint's numbers, and numbers that contradict each other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Severity = Literal["error", "warning"]
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong: how badly, where in the file, what was expected and what came."""
+    """A fault: severity, field in the file, expected and got."""
 
     severity: Severity
     field: str
@@ -26,11 +26,12 @@ _UNITS = {"K2": "N·m/rad", "K3": "N·m/rad", "Fs": "N·m"}
 
 
 def contradictions(value: Mapping[str, float], fitted: Collection[str]) -> Iterator[Fault]:
-    """Numbers of a joint that contradict each other: a gear that softens with torque, Coulomb above static friction.
+    """Yield numbers of a joint that contradict each other: a gear that softens with torque, Coulomb above static
+    friction.
 
     Args:
       value: by symbol, in the units of the specification.
-      fitted: symbols of those that come from a fit. They may cross: each is as the data have it.
+      fitted: symbols of fitted numbers. They may cross, as each follows the data.
     """
 
     def ordered(small: str, large: str, why: str, severity: Severity = "error") -> Iterator[Fault]:
@@ -46,10 +47,11 @@ def contradictions(value: Mapping[str, float], fitted: Collection[str]) -> Itera
 
 
 def unlike_mjcf(joint: Joint) -> Iterator[Fault]:
-    """That a joint's MJCF has numbers otherwise than its description, which counts: beyond tolerance of any it had."""
+    """Yield a fault if numbers of a joint's MJCF differ from its description by more than any tolerance. The
+    description counts."""
     other = []
     for symbol, got in joint.stated_by_mjcf().items():
-        if symbol not in joint.numbers:  # missing: told of the file itself
+        if symbol not in joint.numbers:  # missing: reported elsewhere
             continue
         n = joint.numbers[symbol]
         shared = joint.shared_tolerances.get(n.shared or "", 0.0)

@@ -215,7 +215,7 @@ class Line(list):
 
 
 class _Dumper(_SafeDumper):
-    """The dumper that knows a `Line`."""
+    pass
 
 
 _Dumper.add_representer(Line, lambda dumper, data: dumper.represent_sequence(_LIST, data, flow_style=True))
@@ -347,7 +347,6 @@ _SCALARS = ("float", "int", "str", "bool")
 
 
 def _is_branch(loc: tuple) -> bool:
-    """Return whether the last part of a place is pydantic's name of a kind of value, not a key."""
     part = loc[-1] if loc else None
     return isinstance(part, str) and (part in _SCALARS or _is_kind(part))
 
@@ -357,7 +356,6 @@ def _is_kind(part: Any) -> bool:
 
 
 def _models(base: type[BaseModel]) -> set[str]:
-    """Return the names of all models."""
     return {name for sub in base.__subclasses__() for name in (sub.__name__, *_models(sub))}
 
 
@@ -389,7 +387,6 @@ OWN_ERROR = "Value error, "
 
 
 def _expected(one: Any, model: type[BaseModel]) -> str:
-    """Return what an error expected."""
     kind = one["type"]
     if kind in ("model_type", "model_attributes_type", "dataclass_type"):
         keys = ", ".join(_siblings(model, one["loc"]))
@@ -414,7 +411,6 @@ def _field(one: Any) -> str:
 
 
 def _siblings(model: type[BaseModel], path: tuple) -> list[str]:
-    """Return the keys that pydantic knows at a path inside a model."""
     current: Any = model
     for part in path:
         if isinstance(part, int):

@@ -1,7 +1,8 @@
-"""Friction of a joint over speed, load and temperature: as a table with efficiencies, and as a C function for feed-forward.
+"""Friction of a joint over speed, load and temperature: as a table with efficiencies, and as a C function for
+feed-forward.
 
-Sliding friction in steady motion [N·m, motor side]: mesh with Stribeck curve, load and direction, viscous parts of mesh and
-motor. What depends on the link's angle and what drifts with time is left out: the first is zero in the mean, the second ends.
+Sliding friction in steady motion [N·m, motor side]: mesh with Stribeck curve, load and direction, viscous parts of
+mesh and motor. Friction over the link's angle (zero in the mean) and drift (transient) are left out.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ class FrictionMap:
     """Friction over a grid; n points.
 
     Attributes:
-      columns: by the names of `COLUMNS`, shape (n,) each. `efficiency`: of driving where speed and load have one sign, of
-        back-driving (`back_driving` = 1) where they differ; NaN without load, 0 where the gear does not back-drive.
+      columns: by the names of `COLUMNS`, shape (n,) each. `efficiency`: of driving if speed and load have one sign,
+        of back-driving (`back_driving` = 1) if they differ; NaN without load, 0 if the gear does not back-drive.
       relative: RMS standard deviation of the friction over RMS friction.
     """
 
@@ -41,7 +42,8 @@ class FrictionMap:
 
 @kernel
 def friction(speed: float, load: float, temperature: float, p: Any) -> float:
-    """Friction [N·m, motor side] at an output speed [rad/s], a load [N·m] that the joint gives the link, a temperature [°C]."""
+    """Return the friction [N·m, motor side] at an output speed [rad/s], a joint torque on the link [N·m], a
+    temperature [°C]."""
     w = speed * p.N
     if w == 0.0:
         return 0.0
@@ -50,17 +52,18 @@ def friction(speed: float, load: float, temperature: float, p: Any) -> float:
 
 
 def steady(record: np.ndarray) -> np.ndarray:
-    """A record, shape (1,), without what depends on angle or time."""
+    """Return a record, shape (1,), without friction over angle or time."""
     record = record.copy()
     record[0]["friction_amplitude"], record[0]["drift_amplitude"] = 0.0, 0.0
     return record
 
 
 def friction_map(joint: Joint) -> FrictionMap:
-    """Work out a joint's friction over speeds to the no-load speed and loads to twice the rated torque, either sign of the speed.
+    """Compute a joint's friction at speeds up to the no-load speed and loads up to twice the rated torque, for either
+    sign of the speed.
 
     Args:
-      joint: its description; the standard deviation is that of its tolerances, or of the diagnosis that wrote it.
+      joint: its description; the standard deviation is by its tolerances, or by its diagnosis.
     """
     record = steady(joint.record())
     p = record[0]
@@ -89,7 +92,7 @@ def friction_map(joint: Joint) -> FrictionMap:
 
 
 def c_function(joint: Joint, notes: list[str]) -> str:
-    """The friction as a C function of its own, `<joint>_friction`, with the joint's numbers in it; `notes`: first comment."""
+    """Return the friction as a C function `<joint>_friction` with the joint's numbers; `notes`: first comment."""
     p = steady(joint.record())[0]
     name = "".join(c if c.isalnum() else "_" for c in joint.name)
     name = name if name[:1].isalpha() else f"joint_{name}"

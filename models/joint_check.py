@@ -1,13 +1,14 @@
-"""Everything that is wrong with a joint description, all at once; and what is odd of it by what makers make.
+"""All faults of a joint description at once, and unusual numbers.
 
-An *error* is what no joint of this kind can be: a file that commands refuse, or numbers that contradict each other. A *warning*
-is what lies outside the range of what is made: sizes 8 to 65 of strain wave gears, motors of robot joints.
+An *error* is impossible for a joint of this kind: a file that commands refuse, or numbers that contradict each other.
+A *warning* is outside the range of products: sizes 8 to 65 of strain wave gears, motors of robot joints.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,8 @@ from . import causes
 from .errors import InputError
 from .faults import Fault, Severity, contradictions, unlike_mjcf
 from .files import descriptions, kind_of, read_yaml
-from .joint import SYMBOLS, Effect, Joint, Mounting, Number, known_joints, load_joint, number_faults
+from .joint import Joint, known_joints, load_joint
+from .joint_parts import SYMBOLS, Effect, Mounting, Number, number_faults
 from .mjcf import check_mjcf
 from .parameters import GRAVITY
 
@@ -27,13 +29,13 @@ MADE: dict[str, tuple[float, float]] = {
     "supply_voltage": (6, 800), "current_limit": (0.2, 250), "K1": (250, 6e5), "K2": (300, 9e5), "K3": (350, 1e6),
     "T1": (0.1, 250), "T2": (0.3, 900), "rated_torque": (0.5, 1500), "Fc": (1e-3, 2), "Fs": (1e-3, 3), "vs": (0.05, 100),
 }  # fmt: skip
-"""Smallest and largest value of what makers make, in the numbers' units: catalogues of gears of sizes 8 to 65 and ratios 30 to
-320, of motors from 20 W to 2 kW; of friction, starting torques."""
+"""Smallest and largest value of products, in the numbers' units: catalogues of gears of sizes 8 to 65 and ratios 30
+to 320, of motors from 20 W to 2 kW; of friction, starting torques."""
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A description that was checked: its file, the joint where it can be one, and what is wrong, errors first."""
+    """A checked description: its file, the joint if it is valid, and its faults, errors first."""
 
     path: Path
     joint: Joint | None
@@ -52,14 +54,14 @@ def check(source: str | Path) -> Checked:
       source: its file, or the name of a shipped one.
 
     Returns:
-      All errors and warnings, in the order of the file as far as it is known.
+      All errors and warnings, in the order of the file if known.
 
     Raises:
-      InputError: there is no such file.
+      InputError: no such file.
     """
     path = known_joints().get(str(source).replace("_", "-"), Path(source))
     if not path.is_file():
-        load_joint(source)  # says what there is
+        load_joint(source)  # raises with the known names
     try:
         data = read_yaml(path, "a joint description")
     except InputError as error:
@@ -73,7 +75,7 @@ def check(source: str | Path) -> Checked:
         found += _mjcf(joint)
     numbers = _numbers(data) if joint is None else joint.numbers
     mountings = _each(data.get("mountings"), Mounting) if joint is None else joint.mountings
-    wrong = {p.field.split(".")[1] for p in found if p.field.startswith("numbers.")}  # nothing follows from these
+    wrong = {p.field.split(".")[1] for p in found if p.field.startswith("numbers.")}  # these are wrong already
     found += _implausible({symbol: n for symbol, n in numbers.items() if symbol not in wrong}, mountings)
     if joint is not None and not faults:
         found += list(_odd(joint))
@@ -81,22 +83,21 @@ def check(source: str | Path) -> Checked:
 
 
 def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
-    """The joint where every field can be read, and all that is wrong, a line each."""
     faults: list[str] = []
     try:
         return Joint.model_validate(data, context={"faults": faults}), faults
     except ValidationError as error:
         lines = descriptions(error, Joint)
-    # Numbers that can be read are looked at all the same.
+    # Readable numbers are checked anyway.
     shared = data.get("shared_tolerances")
     known = shared if isinstance(shared, dict) else {}
     whole = data.get("numbers")
     if isinstance(whole, dict):
-        told = {line.split(":")[0] for line in lines}
+        named = {line.split(":")[0] for line in lines}
         unread = {str(symbol) for symbol in whole} - set(_numbers(data))
         for fault in number_faults(_numbers(data), known):
             field = fault.split(":")[0]
-            if field not in told and not (fault.endswith(": missing") and field.removeprefix("numbers.") in unread):
+            if field not in named and not (fault.endswith(": missing") and field.removeprefix("numbers.") in unread):
                 lines.append(fault)
     chosen, mountings = data.get("mounting"), data.get("mountings")
     if isinstance(mountings, dict) and isinstance(chosen, str) and chosen not in mountings:
@@ -109,7 +110,6 @@ def _numbers(data: Mapping[str, Any]) -> dict[str, Number]:
 
 
 def _each(given: Any, model: type[BaseModel]) -> dict[str, Any]:
-    """Those entries of a mapping that are what they should be."""
     found = {}
     for name, one in given.items() if isinstance(given, dict) else ():
         try:
@@ -136,7 +136,6 @@ def _mjcf(joint: Joint) -> list[Fault]:
 
 
 def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting]) -> Iterator[Fault]:
-    """What numbers and mountings say that no joint does, or few do; as far as they can be read."""
     value = {symbol: number.value for symbol, number in numbers.items() if number.value > 0}
     fitted = {symbol for symbol, number in numbers.items() if number.nominal is not None}
     yield from contradictions(value, fitted)
@@ -153,45 +152,31 @@ def _odd_value(field: str, expected: str, got: float) -> Fault:
     return Fault("warning", field, f"expected {expected}, got {got:.3g}")
 
 
+_PROPORTIONS: tuple[tuple[str, Callable[[Mapping[str, float]], float], float, float, str], ...] = (
+    ("K2", lambda v: 1e3 * v["rated_torque"] / v["K2"], 0.3, 8, "a torsion of 0.3 to 8 mrad at rated torque (rated_torque/K2)"),
+    ("Kw0", lambda v: v["Kw0"] * v["N"] ** 2 / v["K1"], 0.2, math.inf,
+     "a wave generator no softer than 0.2 of the flexspline (N² Kw0/K1)"),
+    ("Fc", lambda v: 100 * v["Fc"] * v["N"] / v["rated_torque"], 0.5, 60,
+     "friction of 0.5 to 60 % of the rated torque (N Fc/rated_torque)"),
+    ("s0", lambda v: 1e3 * v["Fc"] / v["s0"], 0.02, 50, "0.02 to 50 mrad of presliding (Fc/s0, motor side)"),
+    ("bw", lambda v: v["bw"] * 200 / v["Fc"], 0, 20, "viscous friction at 200 rad/s of at most 20 Fc (200 bw/Fc)"),
+    ("L", lambda v: 1e3 * v["L"] / v["R"], 0.02, 50, "an electrical time constant of 0.02 to 50 ms (L/R)"),
+    ("Jm", lambda v: 1e3 * v["R"] * v["Jm"] / v["Kt"] ** 2, 0.05, 100,
+     "a mechanical time constant of 0.05 to 100 ms (R Jm/Kt²)"),
+    ("current_limit", lambda v: v["N"] * v["Kt"] * v["current_limit"] / v["rated_torque"], 0.3, 10,
+     "a motor that gives 0.3 to 10 times the gear's rated torque (N Kt current_limit/rated_torque)"),
+)  # fmt: skip
+"""Number, a ratio, its usual range, and the range in words: a wrong unit shows here if the number alone is possible."""
+
+
 def _proportions(value: Mapping[str, float]) -> Iterator[Fault]:
-    """Numbers that do not fit each other: a slip of a unit shows here when each alone could be."""
-
-    def has(*symbols: str) -> bool:
-        return all(symbol in value for symbol in symbols)
-
-    if has("K2", "rated_torque"):
-        twist = 1e3 * value["rated_torque"] / value["K2"]
-        if not 0.3 <= twist <= 8:
-            yield _odd_value("numbers.K2", "a torsion of 0.3 to 8 mrad at rated torque (rated_torque/K2)", twist)
-    if has("T1", "rated_torque") and value["T1"] > value["rated_torque"]:
+    if value.get("T1", 0.0) > value.get("rated_torque", math.inf):
         yield _odd_value("numbers.T1", f"less than the rated torque {value['rated_torque']:g} N·m", value["T1"])
-    if has("K1", "Kw0", "N"):
-        ratio = value["Kw0"] * value["N"] ** 2 / value["K1"]
-        if ratio < 0.2:
-            yield _odd_value("numbers.Kw0", "a wave generator no softer than 0.2 of the flexspline (N² Kw0/K1)", ratio)
-    if has("Fc", "N", "rated_torque"):
-        share = 100 * value["Fc"] * value["N"] / value["rated_torque"]
-        if not 0.5 <= share <= 60:
-            yield _odd_value("numbers.Fc", "friction of 0.5 to 60 % of the rated torque (N Fc/rated_torque)", share)
-    if has("Fc", "s0"):
-        bristle = 1e3 * value["Fc"] / value["s0"]
-        if not 0.02 <= bristle <= 50:
-            yield _odd_value("numbers.s0", "0.02 to 50 mrad of presliding (Fc/s0, motor side)", bristle)
-    if has("Fc", "bw") and value["bw"] * 200 > 20 * value["Fc"]:
-        got = value["bw"] * 200 / value["Fc"]
-        yield _odd_value("numbers.bw", "viscous friction at 200 rad/s of at most 20 Fc (200 bw/Fc)", got)
-    if has("R", "L") and not 2e-5 <= value["L"] / value["R"] <= 0.05:
-        got = 1e3 * value["L"] / value["R"]
-        yield _odd_value("numbers.L", "an electrical time constant of 0.02 to 50 ms (L/R)", got)
-    if has("R", "Jm", "Kt"):
-        constant = 1e3 * value["R"] * value["Jm"] / value["Kt"] ** 2
-        if not 0.05 <= constant <= 100:
-            yield _odd_value("numbers.Jm", "a mechanical time constant of 0.05 to 100 ms (R Jm/Kt²)", constant)
-    if has("N", "Kt", "current_limit", "rated_torque"):
-        times = value["N"] * value["Kt"] * value["current_limit"] / value["rated_torque"]
-        if not 0.3 <= times <= 10:
-            expected = "a motor that gives 0.3 to 10 times the gear's rated torque (N Kt current_limit/rated_torque)"
-            yield _odd_value("numbers.current_limit", expected, times)
+    for symbol, ratio, low, high, expected in _PROPORTIONS:
+        with suppress(KeyError):  # a number is missing
+            got = ratio(value)
+            if not low <= got <= high:
+                yield _odd_value(f"numbers.{symbol}", expected, got)
 
 
 def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iterator[Fault]:
@@ -207,7 +192,6 @@ def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iter
 
 
 def _odd(joint: Joint) -> Iterator[Fault]:
-    """What can be said of a description that is whole."""
     p = joint.bare_record()[0]
     slope = sum(abs(float(o.order * o.amplitude.value)) for o in joint.kinematic_error) * float(p["N"])
     if slope >= 1:
@@ -225,7 +209,6 @@ def _odd(joint: Joint) -> Iterator[Fault]:
 
 
 def _effect(i: int, effect: Effect) -> Iterator[Fault]:
-    """An effect's parameters far beyond what is ordinary."""
     for q in causes.get(effect.name).parameters:
         largest = max((abs(high) for _, high in q.ordinary), default=math.inf)
         if q.magnitude and q.relative is None and abs(effect.values[q.name]) > 20 * largest:

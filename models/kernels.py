@@ -98,7 +98,6 @@ def _users() -> Path:
 
 
 def _forget_old(top: Path, name: str) -> None:
-    """Remove all but the latest caches of a module's earlier states."""
     earlier = [
         f for f in top.glob(f"{name}-*") if f.is_dir() and re.fullmatch(re.escape(name) + r"-[0-9a-f]{16}", f.name)
     ]

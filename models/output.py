@@ -255,7 +255,6 @@ def _commit(path: Path, staging: Path, maker: str, whole: bool) -> None:
 
 
 def _waiting(path: Path) -> list[Path]:
-    """Return complete output that has not been moved up."""
     if not path.is_dir():
         return []
     return sorted(Path(entry.path) for entry in os.scandir(path) if entry.name.startswith(_DONE))
@@ -319,7 +318,6 @@ def _own(path: Path) -> int | None:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold an exclusive lock on a folder."""
     if fcntl is None:
         yield
         return

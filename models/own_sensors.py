@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -58,16 +58,14 @@ def get(name: str) -> Sensor:
     Raises:
       InputError: not a sensor, or one that does not follow its interface.
     """
-    where = f"sensor {name!r} of {origin(name).name}"
-    given: Any = _offered()[name].get()
-    sensor = given() if isinstance(given, type) and issubclass(given, Sensor) else given
-    if not isinstance(sensor, Sensor):
-        raise InputError(f"{where}: expected a flexspline.models.own_sensors.Sensor, got {type(sensor).__name__}")
-    if sensor.name != name or not _NAME.fullmatch(name):
-        raise InputError(f"{where}: name: expected {_NAME.pattern}, its entry point, got {sensor.name!r}")
+    return plugins.made(_offered()[name], Sensor, _check)
+
+
+def _check(sensor: Sensor) -> None:
+    if not _NAME.fullmatch(sensor.name):
+        raise InputError(f"name: expected {_NAME.pattern}, got {sensor.name!r}")
     if not isinstance(getattr(sensor, "unit", None), str):
-        raise InputError(f"{where}: unit: expected a text, got none")
-    return sensor
+        raise InputError("unit: expected a text, got none")
 
 
 def origin(name: str) -> plugins.Origin:
@@ -99,7 +97,7 @@ def readings(
     found = {}
     for name in names():
         values = np.asarray(get(name).read(time, truth, stream(f"sensor {name}")), float)
-        where = f"sensor {name!r} of {origin(name).name}"
+        where = _offered()[name].where
         if values.shape != time.shape:
             raise InputError(f"{where}: expected readings of shape {time.shape}, got {values.shape}")
         if not np.isfinite(values).all():

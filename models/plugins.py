@@ -20,13 +20,14 @@ from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from .errors import InputError, one_line
 
 Kind = Literal["estimators", "causes", "sensors"]
 _KINDS: tuple[Kind, ...] = ("estimators", "causes", "sensors")
 _PACKAGE = __name__.split(".")[0]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -48,11 +49,42 @@ OWN = Origin(_PACKAGE)
 
 @dataclass(frozen=True)
 class Offer:
-    """An estimator, a cause or a sensor of a plugin: its name, its origin, and a function that returns it."""
+    """An estimator, a cause or a sensor of a plugin: its kind, its name, its origin, and a function that returns it."""
 
+    kind: Kind
     name: str
     origin: Origin
     get: Callable[[], Any]
+
+    @property
+    def where(self) -> str:
+        """Prefix of messages."""
+        return f"{self.kind[:-1]} {self.name!r} of {self.origin.name}"
+
+
+@cache
+def made(offer: Offer, base: type[T], check: Callable[[T], None]) -> T:
+    """Return an offered object of a subclass of `base`, or one made of the class, if it passes a check.
+
+    Raises:
+      InputError: its fault, with its name and origin.
+    """
+    given = offer.get()
+    try:
+        found = given() if isinstance(given, type) and issubclass(given, base) else given
+        if not isinstance(found, base):
+            raise InputError(
+                f"expected a subclass of {base.__module__}.{base.__qualname__}, got {type(found).__name__}"
+            )
+        if (name := getattr(found, "name", None)) != offer.name:
+            came = "none" if name is None else repr(name)
+            raise InputError(f"name: expected {offer.name!r}, its entry point, got {came}")
+        check(found)
+    except InputError as error:
+        raise InputError(f"{offer.where}: {error}") from error
+    except Exception as error:  # foreign code
+        raise InputError(f"{offer.where}: {type(error).__name__}: {error}") from error
+    return found
 
 
 @dataclass(frozen=True)
@@ -139,7 +171,7 @@ def _offers(kind: Kind, taken: frozenset[str]) -> dict[str, Offer]:
             if name in taken or name in found:
                 there = _PACKAGE if name in taken else found[name].origin.name
                 raise InputError(f"{file}: {kind[:-1]} {name!r}: expected another name, {there} has one of that name")
-            found[name] = Offer(name, Origin(str(file), read.digest), partial(_same, one))
+            found[name] = Offer(kind, name, Origin(str(file), read.digest), partial(_same, one))
     return found
 
 
@@ -204,11 +236,12 @@ def _named(one: Any) -> str:
 
 @cache
 def _installed(kind: Kind) -> dict[str, Offer]:
-    """Return the offers of installed packages, not loaded."""
     found: dict[str, Offer] = {}
     for point in entry_points(group=f"{_PACKAGE}.{kind}"):
         package = f"{point.dist.name} {point.dist.version}" if point.dist else "an installed package"
-        found.setdefault(point.name, Offer(point.name, Origin(package, package), cache(partial(_load, kind, point))))
+        found.setdefault(
+            point.name, Offer(kind, point.name, Origin(package, package), cache(partial(_load, kind, point)))
+        )
     return found
 
 

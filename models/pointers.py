@@ -12,11 +12,10 @@ from numba.np.numpy_support import from_dtype
 
 from .parameters import PARAMETERS
 
-intrinsic: Any = numba_intrinsic  # what it makes takes no typing context, unlike its function
+intrinsic: Any = numba_intrinsic  # typed: the result takes no typing context, unlike its function
 
 
 def _array_of(numba_type: Any, llvm_type: Any) -> Any:
-    """Return a compiled function: integer address → pointer to numbers of a type."""
 
     @intrinsic
     def pointer(typingctx, address):

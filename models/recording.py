@@ -1,8 +1,8 @@
-"""Recordings: what a joint's sensors read over time, as a table and a YAML file of the same stem.
+"""Recordings: the readings of a joint's sensors over time, as a table and a YAML file of the same stem.
 
-The format is the same whether a simulator or a robot wrote it. A *measurement* is one recording or a folder of several
-taken on the same joint. Sampling may be irregular with single samples missing; a gap splits a recording into segments.
-Which channels there may be, and their units, stands in `models.signals`.
+The format is the same for a simulator and a robot. A *measurement* is one recording or a folder of several of the
+same joint. Sampling may be irregular, with single samples missing; a gap splits a recording into segments.
+`models.signals` lists the channels and units.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from pydantic import model_validator
 from . import units
 from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
+from .chunks import BLOCK
 from .errors import InputError, InputWarning, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
-from .joint import Joint, Mounting, load_joint
+from .joint import Joint, load_joint
+from .joint_parts import Mounting
 from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
-from .streams import BLOCK
 from .tables import reading_parquet, write_table
 from .text_tables import TextTable
 
@@ -37,11 +38,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 GAP = 0.1 + 1e-6
-"""The least time [s] between samples that splits a recording into segments: more than 0.1 s, however stamps are rounded."""
+"""Least time [s] between samples of a gap: more than 0.1 s, however stamps are rounded."""
 SEVERAL = 5.0
-"""A gap is longer than so many of a log's own intervals."""
+"""Least gap, in intervals of a log."""
 LARGEST = 1e30
-"""A number that no sensor reads in any unit, and whose powers are still numbers."""
+"""Largest reading of any sensor in any unit; its powers are still finite."""
 SUFFIXES = (".parquet", ".csv")
 
 External = Literal["none", "measured", "unmeasured"]
@@ -51,25 +52,25 @@ _LINK = Mounting(inertia=0.35, gravity_moment=9.0)  # the test joint's
 
 
 class Sidecar(Strict):
-    """The YAML file beside a recording's table.
+    """The YAML file of a recording's table.
 
-    `external_torque`: `none`; `measured`, the column of that name; or `unmeasured`: pushes may happen, they are no
-    cause of anything. What hangs on the joint is `link`, or `arm`, whose MJCF lies in the same folder.
+    `external_torque`: `none`; `measured`, the column of that name; or `unmeasured`: unmeasured pushes may occur and
+    are not causes. The load of the joint is `link`, or `arm`, whose MJCF is in the same folder.
     """
 
     format: Literal[1]
     joint: str
     """Name of a shipped joint, or path of its file."""
     description: str = ""
-    """What was done."""
+    """Of the measurement."""
     link: Mounting | None = None
-    """What hung on the output; or else `arm`."""
+    """Load on the output; alternative to `arm`."""
     arm: ArmSpec | None = None
-    """The arm that the joint is part of; or else `link`."""
+    """Arm of the joint; alternative to `link`."""
     external_torque: External = "none"
     """Whether the link was pushed, and whether that was measured."""
     fixed: tuple[str, ...] = ()
-    """What `flexspline import --fix` changed in the table."""
+    """Changes of `flexspline import --fix` to the table."""
 
     @model_validator(mode="after")
     def _one_load(self) -> Sidecar:
@@ -88,18 +89,18 @@ class Recording:
       columns: its channels by name (`signals.CHANNELS`), shape (n,) each, SI; at least one position, and one of motor
         current, motor torque and joint torque. `recording["link_position"]` is one of them.
       joint: name of the joint's description, or path to one.
-      description: for people.
-      link: what was bolted to the output; of an arm, what hung on the joint while the others were in the middle of their ways.
-      arm: the arm that the joint is part of, None where `link` is stated; load: what its motion put on the link beside
-        `link`, None where the other joints held still (`models.arm_dynamics`).
-      logged: time as its table has it [s], shape (n,), where `time` has gaps that it does not show; else None.
+      description: in words.
+      link: load on the output; of an arm, with the other joints in the middle of their ranges.
+      arm: the joint's arm, None with `link`; load: of its motion on the link, in addition to `link`, None while the
+        other joints are at rest (`models.arm_dynamics`).
+      logged: time in its table [s], shape (n,), if `time` has gaps that the table does not show; else None.
       external: whether there was external torque: none, measured (the column) or unmeasured.
-      source: where it came from, for messages.
-      fixed: what `flexspline import --fix` changed, for people.
+      source: its file, for messages.
+      fixed: changes of `flexspline import --fix`, in words.
 
     Raises:
       InputError: columns of different length, values that are not finite or beyond `LARGEST`, time that does not
-        increase, too few channels.
+        increase, missing channels.
     """
 
     name: str
@@ -158,6 +159,10 @@ class Recording:
     def __contains__(self, channel: str) -> bool:
         return channel in self.columns
 
+    def __repr__(self) -> str:
+        seconds = self.time[-1] - self.time[0] if len(self.time) else 0.0
+        return f"Recording({self.name!r}: {len(self.time)} samples, {seconds:.4g} s; {', '.join(self.columns)})"
+
     def _repr_html_(self) -> str:
         rows = [(name, _unit(name), float(x.min()), float(x.max())) for name, x in self.columns.items()]
         seconds = float(self.time[-1] - self.time[0])
@@ -166,11 +171,11 @@ class Recording:
 
     @property
     def signals(self) -> Signals:
-        """Its channels for whoever needs no more: an estimator, a view."""
+        """Its channels."""
         return Signals(self.time, self.columns)
 
     def without(self, *channels: str) -> Recording:
-        """The same recording, had there been no such sensors."""
+        """Return the recording without some sensors."""
         kept = {name: values for name, values in self.columns.items() if name not in channels}
         external = self.external
         if "external_torque" in channels and external == "measured":
@@ -178,7 +183,7 @@ class Recording:
         return replace(self, columns=kept, external=external)
 
     def at(self, samples: slice | np.ndarray, time: np.ndarray | None = None) -> Recording:
-        """The same recording at some of its samples; with other time stamps [s] of these, where given."""
+        """Return the recording at some of its samples, by default with their own time stamps [s]."""
         columns = {name: values[samples] for name, values in self.columns.items()}
         arm = None if self.arm is None else self.arm.at(samples)
         load = None if self.load is None else self.load.at(samples)
@@ -188,23 +193,23 @@ class Recording:
 
     @property
     def stamps(self) -> np.ndarray:
-        """Time of the samples in its table, shape (n,) [s]: what a result is written with, so that both can be joined."""
+        """Time of the samples in its table, shape (n,) [s]; results use it, so that both can be joined."""
         return self.time if self.logged is None else self.logged
 
     @cached_property
     def known_torque(self) -> np.ndarray:
-        """Torque on the link that is known, shape (n,) [N·m]: what was measured, and what an arm in motion puts on it."""
+        """Known torque on the link, shape (n,) [N·m]: measured, and of a moving arm."""
         known = np.zeros(len(self.time)) if self.load is None else self.load.torque.copy()
         return known + self["external_torque"] if self.external == "measured" else known
 
     @cached_property
     def relative_inertia(self) -> np.ndarray:
-        """Inertia about the joint's axis over that of `link`, shape (n,) [1]: 1 but for an arm whose other joints move."""
+        """Inertia about the joint's axis over that of `link`, shape (n,) [1]; 1 except for a moving arm."""
         return np.ones(len(self.time)) if self.load is None else self.load.inertia / self.link.inertia
 
     @cached_property
     def torque_of_arm(self) -> np.ndarray:
-        """What an arm in motion does to the joint, as torque on a link of constant inertia, shape (n,) [N·m]; 0 without."""
+        """Effect of a moving arm, as torque on a link of constant inertia, shape (n,) [N·m]; 0 without."""
         return np.zeros(len(self.time)) if self.load is None else self.load.on(self.link.inertia)
 
     @cached_property
@@ -216,7 +221,7 @@ class Recording:
 
     @cached_property
     def gaps(self) -> tuple[tuple[float, float], ...]:
-        """Begin and end of every gap longer than `gap` [s]."""
+        """Start and end of every gap longer than `gap` [s]."""
         return tuple((float(self.time[s.start - 1]), float(self.time[s.start])) for s in self.segments[1:])
 
     @cached_property
@@ -226,25 +231,25 @@ class Recording:
 
     @property
     def gap(self) -> float:
-        """A time [s] between samples beyond which it is split into segments: more than 0.1 s and several of its intervals."""
+        """Largest time [s] between samples of a segment: more than 0.1 s and several of its intervals."""
         return max(GAP, SEVERAL * self.interval)
 
     @property
     def sparse(self) -> bool:
-        """Whether gaps are the rule: samples so far apart that hardly two of them belong together."""
+        """Whether most samples are separated by gaps."""
         return len(self.gaps) > 0.1 * len(self.time)
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Recordings taken on the same joint.
+    """Recordings of the same joint.
 
     Attributes:
       name: of the file or folder.
-      path: that file or folder.
+      path: of the file or folder.
       recordings: at least one, by name.
-      passed_over: tables that were not read, with the reason: no YAML file of their stem lies beside them, or another table of it
-        that was read does.
+      passed_over: tables that were not read, with the reason: no YAML file of their stem, or another table of it was
+        read.
     """
 
     name: str
@@ -254,38 +259,39 @@ class Measurement:
 
     @property
     def folder(self) -> Path:
-        """The folder in which its files lie."""
+        """The folder of its files."""
         return self.path if self.path.is_dir() else self.path.parent
 
     @property
     def files(self) -> list[Path]:
-        """The files that it was read from: tables and their YAML files."""
+        """Its files: tables and their YAML files."""
         tables = [Path(recording.source) for recording in self.recordings if recording.source]
         return [file for table in tables for file in (table, table.with_suffix(".yaml"))]
 
     @property
     def fixed(self) -> tuple[str, ...]:
-        """What `flexspline import --fix` changed, a line for each recording that has it."""
-        return tuple(f"{r.name}: mended by import --fix: {'; '.join(r.fixed)}" for r in self.recordings if r.fixed)
+        """Changes of `flexspline import --fix`, a line per changed recording."""
+        return tuple(f"{r.name}: changed by import --fix: {'; '.join(r.fixed)}" for r in self.recordings if r.fixed)
 
     def _repr_html_(self) -> str:
         rows = [(r.name, float(r.time[-1] - r.time[0]), 1 / r.interval, ", ".join(r.columns)) for r in self.recordings]
         return paragraph(self.name) + html_table(("recording", "duration [s]", "rate [Hz]", "channels"), rows)
 
     def load_joint(self, option: str | Path | None = None) -> Joint:
-        """Load the joint that the recordings name, or the one of the command line, which wins."""
+        """Return the joint of the recordings, or that of the command line, which wins."""
         if option is not None:
             return load_joint(option)
         return load_joint(self.recordings[0].joint, beside=self.folder)
 
 
 def read_measurement(path: str | Path) -> Measurement:
-    """Read a measurement: one recording's file, or a folder in which every table with a YAML file of its stem is one.
+    """Read a measurement: the file of one recording, or a folder in which every table with a YAML file of its stem is
+    one.
 
-    Of two tables of a stem the Parquet file is read, unless the other is named itself; what is not read is in `passed_over`.
+    Of two tables of a stem the Parquet file is read, unless the other is named. Unread tables are in `passed_over`.
 
     Raises:
-      InputError: nothing there, something wrong with a recording, or recordings that name different joints.
+      InputError: not found, a wrong recording, or recordings of different joints.
     """
     path = Path(path)
     if not path.exists():
@@ -296,7 +302,7 @@ def read_measurement(path: str | Path) -> Measurement:
         table = Path(recording.source)
         named = table == path
         others = [t for suffix in SUFFIXES if (t := path.with_suffix(suffix)) != table and not named and t.is_file()]
-        return Measurement(recording.name, path, (recording,), {other: _beside(table) for other in others})
+        return Measurement(recording.name, path, (recording,), {other: _read_instead(table) for other in others})
     tables: dict[str, Path] = {}
     passed_over: dict[Path, str] = {}
     for suffix in SUFFIXES:
@@ -305,9 +311,9 @@ def read_measurement(path: str | Path) -> Measurement:
                 continue
             sidecar = table.with_suffix(".yaml")
             if not sidecar.is_file():
-                passed_over[table] = f"no {sidecar.name} lies beside it"
+                passed_over[table] = f"{sidecar.name} is missing"
             elif tables.setdefault(table.stem, table) != table:
-                passed_over[table] = _beside(tables[table.stem])
+                passed_over[table] = _read_instead(tables[table.stem])
     if not tables:
         raise InputError(
             f"{path}: expected tables ({' or '.join(SUFFIXES)}), each with a YAML file of its stem, got none"
@@ -322,23 +328,22 @@ def read_measurement(path: str | Path) -> Measurement:
     return Measurement(path.resolve().name, path, recordings, passed_over)
 
 
-def _beside(table: Path) -> str:
-    """Why another table of its stem is not read."""
-    return f"{table.name} lies beside it"
+def _read_instead(table: Path) -> str:
+    return f"{table.name} was read"
 
 
 def read_recording(path: str | Path) -> Recording:
     """Read a recording from its table (or its YAML file).
 
     Raises:
-      InputError: one line with file, column and row of what is wrong. Rows are counted from 0, without the header.
+      InputError: one line with file, column and row of the error. Rows are counted from 0, without the header.
     """
     path = Path(path)
     if path.suffix in (".yaml", ".yml"):
         found = [path.with_suffix(s) for s in SUFFIXES if path.with_suffix(s).is_file()]
         if not found:
             raise InputError(
-                f"{path}: expected a table {path.stem}.parquet or {path.stem}.csv beside it, found neither"
+                f"{path}: expected a table {path.stem}.parquet or {path.stem}.csv next to it, found neither"
             )
         path = found[0]
     if path.suffix not in SUFFIXES:
@@ -347,7 +352,7 @@ def read_recording(path: str | Path) -> Recording:
         raise InputError(f"{path}: cannot read a recording: no such file")
     sidecar_path = path.with_suffix(".yaml")
     if not sidecar_path.is_file():
-        raise InputError(f"{path}: expected a YAML file {sidecar_path.name} beside it, found none")
+        raise InputError(f"{path}: expected a YAML file {sidecar_path.name} next to it, found none")
     sidecar = load(sidecar_path, Sidecar, "the YAML file of a recording")
     columns = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     if "time" not in columns:
@@ -377,12 +382,12 @@ def read_recording(path: str | Path) -> Recording:
 def in_arm(
     recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray], path: Path, folder: Path, home: Path | None
 ) -> Recording:
-    """The recording with mounting and load from its arm.
+    """Return the recording with mounting and load from its arm.
 
     Args:
-      recording: of one of the arm's joints; its own mounting does not count.
+      recording: of one of the arm's joints; its own mounting is ignored.
       spec: of the arm; angles: columns of its other joints, shape (n,) each [rad].
-      path: of the file that messages name; folder: where the arm's MJCF is; home: where a path to the joint begins.
+      path: of the file for messages; folder: of the arm's MJCF; home: to which a path to the joint is relative.
     """
     from .arm_dynamics import Arm
 
@@ -404,7 +409,8 @@ def in_arm(
 
 
 def with_arm_load(recording: Recording, gear_ratio: float) -> Recording:
-    """A recording whose angle has changed, with mounting and load from its arm at that angle; the same without an arm.
+    """Return a recording with a changed angle, with mounting and load from its arm at that angle; unchanged without
+    an arm.
 
     Args:
       gear_ratio: of its joint.
@@ -423,7 +429,7 @@ def with_arm_load(recording: Recording, gear_ratio: float) -> Recording:
 
 
 def _own_angle(recording: Recording, gear_ratio: Callable[[], float]) -> np.ndarray:
-    """Where the joint stands in its arm, shape (n,) [rad]: the angle of the link's encoder, else the motor's over the ratio."""
+    """Return the joint's angle in its arm, shape (n,) [rad]: of the link's encoder, else the motor's over the ratio."""
     if "link_position" in recording:
         return recording["link_position"]
     return recording["motor_position"] / gear_ratio()
@@ -432,11 +438,11 @@ def _own_angle(recording: Recording, gear_ratio: Callable[[], float]) -> np.ndar
 def write_recording(recording: Recording, folder: str | Path) -> Path:
     """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path.
 
-    The arm of a recording goes with it, as an MJCF of masses and joints beside it. Files of these names are replaced, one after
-    the other; in one step, and no others than one's own, where `folder` is that of an `output.output_folder`.
+    An arm is written as an MJCF of masses and joints. Files of these names are replaced one after the other;
+    together, and only the same maker's, inside an `output.output_folder`.
 
     Raises:
-      InputError: a name that is none of a file, or a folder that cannot be written to.
+      InputError: an invalid file name, or a folder that cannot be written to.
     """
     folder, arm = Path(folder), recording.arm
     check_name(recording.name, "recording: name")
@@ -469,7 +475,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
 
 
 def ordered(recording: Recording) -> dict[str, np.ndarray]:
-    """The columns of a recording's table in their order, shape (n,) each."""
+    """Return the columns of a recording's table in order, shape (n,) each."""
     known = [*CHANNELS, *(name for name in recording.columns if name not in CHANNELS)]
     ordered = {"time": recording.time, **{n: recording.columns[n] for n in known if n in recording.columns}}
     if recording.arm is not None:
@@ -478,11 +484,10 @@ def ordered(recording: Recording) -> dict[str, np.ndarray]:
 
 
 _WRITTEN = "flexspline.yaml"
-"""Metadata of a recording's table: what tells the YAML file that was written with it from an edited one."""
+"""Metadata of a recording's table: digest of its YAML file, to detect an edited one."""
 
 
 def _notes(recording: Recording) -> dict[str, str]:
-    """What else a table's metadata say of a recording."""
     return {"flexspline.fixed": "; ".join(recording.fixed)} if recording.fixed else {}
 
 
@@ -491,7 +496,7 @@ def _digest(text: str) -> str:
 
 
 def edited(path: Path) -> bool:
-    """Whether the YAML file beside a recording's table is another than was written with it; False where that is not known."""
+    """Return whether the YAML file of a recording's table was edited since; False if unknown."""
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -504,18 +509,17 @@ def edited(path: Path) -> bool:
 
 def _unit(name: str) -> str:
     found = channel(name)
-    return found.unit if found is not None else "rad"  # of another joint of an arm
+    return found.unit if found is not None else "rad"  # an angle of an arm
 
 
 def _row(source: str, index: int) -> str:
-    """Name a row for people: counted from 0 without the header, as the rows of mistakes are; with the line where the file has
-    lines."""
+    """Return a row for messages: counted from 0 without the header, with the line of a CSV file."""
     line = f" (line {index + 2})" if source.endswith(".csv") else ""
     return f"row {index}{line}"
 
 
 def check_channels(where: str, columns: Iterable[str]) -> None:
-    """Raise `InputError` where a recording with these columns could show nothing at all."""
+    """Raise `InputError` for columns without a position or a torque."""
     columns = set(columns)
     for wanted, what in ((POSITIONS, "position"), (DRIVING, "torque")):
         if not columns.intersection(wanted):
@@ -530,10 +534,10 @@ def _check_header(path: Path, names: list[str]) -> None:
         if channel(name) is None and joint_of(name) is None:
             raise InputError(
                 f"{path}: column {name!r}: unknown column{nearest(name, CHANNELS)}; known are {', '.join(CHANNELS)} "
-                "(`flexspline import` reads a log with columns of its own)"
+                "(`flexspline import` reads a log with other columns)"
             )
         if name in names[:i]:
-            raise InputError(f"{path}: column {name!r}: stands twice")
+            raise InputError(f"{path}: column {name!r}: duplicate column")
 
 
 def _read_parquet(path: Path) -> dict[str, np.ndarray]:
@@ -561,7 +565,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
 
 
 def _parquet_column(path: Path, file: pa.parquet.ParquetFile, name: str) -> np.ndarray:
-    """A column of numbers, shape (n,), read in batches: what Arrow has once taken it does not give back."""
+    """Return a column of numbers, shape (n,), read in batches: Arrow keeps memory that it once had."""
     begin = 0
     with reading_parquet(path):
         found = np.empty(file.metadata.num_rows)

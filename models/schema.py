@@ -37,7 +37,6 @@ def json_schema(model: Any) -> dict[str, Any]:
 
 @cache
 def _docstrings(model: type) -> dict[str, str]:
-    """Return the docstrings below a class's own fields, by field."""
     if not model.__module__.startswith(__name__.partition(".")[0]):
         return {}
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body

@@ -1,6 +1,6 @@
 """Signals by name: every channel of a joint's sensors, a log or a command, with its unit.
 
-A sensor's channel is one entry here, with its field of `joint.Sensors` (noise, delay, rate), and its reading law in
+A sensor's channel is one entry here, with its field of `joint_parts.Sensors` (noise, delay, rate), and its reading law in
 `models.dynamics.readings`. Recordings, the simulated sensors and run folders take the channels from here.
 """
 
@@ -23,7 +23,7 @@ class Channel:
       name: of its column.
       unit: SI; positions of the motor on the motor side, of the link on the output side.
       description: in words.
-      sensor: field of `joint.Sensors` with its noise; empty without a sensor (time, commands).
+      sensor: field of `joint_parts.Sensors` with its noise; empty without a sensor (time, commands).
       at_step: whether its value depends on forces that are known only after the plant's step.
     """
 

@@ -42,6 +42,8 @@ OK, NOT_FINITE = 0, 1
 """Status of a good step, and of an estimate that is not finite; other numbers are defined by the step."""
 _PYTHON = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_ssize_t] * 5)
 _compiling = threading.RLock()
+Arrays = tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Address, memory, record, settings and `out` of a step."""
 
 
 class Step:
@@ -62,7 +64,7 @@ class Step:
             if self._compiled is None:
                 try:
                     self._compiled = c_function(types.int64(*map(from_dtype, self.records)), self.function)
-                except Exception as error:  # of a field that is not there Numba makes a KeyError
+                except Exception as error:  # a missing field is a KeyError in Numba
                     code = self.function.__code__
                     raise InputError(
                         f"{code.co_filename}, line {code.co_firstlineno}: {code.co_name}: expected a step that can be compiled, "
@@ -85,7 +87,7 @@ class PythonStep:
             try:
                 at = zip(addresses, records, strict=True)
                 return int(function(*(numpy_at(address, of, 1).view(np.recarray)[0] for address, of in at)))
-            except BaseException as error:  # nothing may pass through compiled code
+            except BaseException as error:  # no exception may pass through compiled code
                 self.error = error
                 return -1
 
@@ -153,7 +155,7 @@ class CompiledStep:
     reads_command: bool = False
     owner: Any = None
 
-    def arrays(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def arrays(self) -> Arrays:
         """Return address, new memory, record, settings and `out`, for compiled code."""
         settings = np.ascontiguousarray(self.settings, dtype=np.float64)
         return self.address, np.zeros(max(self.memory, 1)), self.record, settings, np.zeros(max(self.outputs, 1))

@@ -1,7 +1,7 @@
-"""Tables as text (CSV and its relatives), as people and programs write them.
+"""Tables as text (CSV and similar) of users and programs.
 
-Encoding, separator, decimal mark, and which line is the header are found in the text where they are not stated. Lines before the
-header, comments, a row of units and a last line that was cut short are no rows.
+Encoding, separator, decimal mark and header line are detected if not stated. Lines before the header, comments, a row
+of units and an incomplete last line are not rows.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date, time, timedelta
 from functools import cached_property
@@ -37,21 +38,21 @@ _LIST = re.compile(r"[\[(]\s*[-+.\d].*[\])]", re.DOTALL)
 
 @dataclass(frozen=True)
 class TextForm:
-    """How a table is written as text; what is None is found in it."""
+    """Text format of a table; None is detected."""
 
     separator: str | None = None
     decimal: str | None = None
     skip: int = 0
-    """Lines before everything else."""
+    """Lines to skip at the start."""
     headless: bool = False
-    """Whether columns go by number although there is a header."""
+    """Whether columns are named by number in spite of a header."""
 
 
 # Cells ------------------------------------------------------------------------------------------------------------------------
 
 
 def _kind(cell: str) -> str:
-    """What a cell holds: `number`, `date`, `clock`, `list`, or nothing of these."""
+    """Return the kind of a cell: `number`, `date`, `clock`, `list`, or empty."""
     if _NUMBER.fullmatch(cell):
         return "number"
     if _CLOCK.fullmatch(cell):
@@ -62,7 +63,7 @@ def _kind(cell: str) -> str:
 
 
 def elements(cell: object) -> list[float]:
-    """Numbers of a list in a cell, `[1, 2]` or `[1 2]`; none where it is no list."""
+    """Return the numbers of a list in a cell, `[1, 2]` or `[1 2]`; empty for other cells."""
     if isinstance(cell, str):
         cell = re.split(r"[,;\s]+", cell.strip().strip("[]()").strip()) if _LIST.fullmatch(cell.strip()) else []
     return [_number(one, ".") for one in cell] if isinstance(cell, (list, tuple, np.ndarray)) else []
@@ -72,7 +73,7 @@ def _number(cell: object, decimal: str) -> float:
     if isinstance(cell, str):
         if decimal == ",":
             cell = "" if "." in cell else cell.replace(",", ".")
-        if "_" in cell:  # which Python takes within numbers
+        if "_" in cell:  # allowed in Python's numbers
             return np.nan
     try:
         return float(cell)  # type: ignore[arg-type]
@@ -99,35 +100,27 @@ def _as_text(cell: object) -> str:
 
 
 def numbers(cells: Sequence[object] | np.ndarray, decimal: str = ".", like: np.dtype | None = None) -> np.ndarray:
-    """Cells of text, or of numbers and dates, as numbers.
+    """Return cells of text, or of numbers and dates, as numbers.
 
     Args:
       cells: of one column, shape (n,).
       decimal: mark of its numbers.
-      like: type of its cells before these; found in the first cells where it is None.
+      like: type of earlier cells; None: detected.
 
     Returns:
-      float64, datetime64[ns] of dates, or timedelta64[ns] of clock times, shape (n,); NaN or NaT for a cell that is none.
+      float64, datetime64[ns] of dates, or timedelta64[ns] of clock times, shape (n,); NaN or NaT for other cells.
     """
-    kind = (
-        "number"
-        if like is not None and like.kind == "f"
-        else {"M": "date", "m": "clock"}.get(like.kind if like else "", "")
-    )
-    if kind in ("", "number"):
-        try:
-            if decimal == "." and kind == "number":
-                return np.array(cells, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):
-            pass
-        if not kind:
-            some = [c for c in cells[:_LOOKED_AT] if c is not None]
-            if some and all(isinstance(c, timedelta) for c in some):
-                return np.array(cells, dtype="timedelta64[ns]")
-            dated = sum(isinstance(c, (date, np.datetime64)) for c in some)
-            kinds = Counter(_kind(_as_text(c)) for c in some)
-            kinds["date"] = max(kinds["date"], dated)
-            kind = max(("number", "date", "clock"), key=lambda k: kinds[k])
+    kind = "" if like is None else {"f": "number", "M": "date", "m": "clock"}.get(like.kind, "")
+    if not kind:
+        some = [c for c in cells[:_LOOKED_AT] if c is not None]
+        if some and all(isinstance(c, timedelta) for c in some):
+            return np.array(cells, dtype="timedelta64[ns]")
+        kinds = Counter(_kind(_as_text(c)) for c in some)
+        kinds["date"] = max(kinds["date"], sum(isinstance(c, (date, np.datetime64)) for c in some))
+        kind = max(("number", "date", "clock"), key=lambda k: kinds[k])
+    elif kind == "number" and decimal == ".":
+        with suppress(TypeError, ValueError, OverflowError):
+            return np.array(cells, dtype=np.float64)
     if kind == "number":
         return np.array([_number(cell, decimal) for cell in cells], dtype=np.float64)
     if kind == "clock":
@@ -136,7 +129,8 @@ def numbers(cells: Sequence[object] | np.ndarray, decimal: str = ".", like: np.d
 
 
 def _dates(texts: list[str]) -> np.ndarray:
-    """Dates and times of text as datetime64[ns], NaT for one that is none; of day and month first what makes the log shorter."""
+    """Return dates and times of text as datetime64[ns], NaT for other text. The order of day and month is that of the
+    shorter log."""
     import pandas as pd
 
     def stamps(given: pd.Series, **how: Any) -> pd.Series:
@@ -149,7 +143,7 @@ def _dates(texts: list[str]) -> np.ndarray:
     found = []
     for dayfirst in (True, False):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that the other order would fit, too
+            warnings.simplefilter("ignore")  # that the other order would also match
             one = stamps(given, dayfirst=dayfirst)
             if (others := one.isna() & (given != "")).any():
                 one[others] = stamps(given[others], format="mixed", dayfirst=dayfirst)
@@ -158,8 +152,8 @@ def _dates(texts: list[str]) -> np.ndarray:
 
 
 def seconds(stamps: np.ndarray) -> np.ndarray:
-    """Dates or clock times, shape (n,), as seconds since the first; a clock that begins again goes on at midnight."""
-    ticks = stamps.astype(np.int64)  # as a float, a date of today has lost a quarter of a microsecond
+    """Return dates or clock times, shape (n,), as seconds since the first; clock times continue at midnight."""
+    ticks = stamps.astype(np.int64)  # a float of today's date is wrong by up to a quarter of a microsecond
     there = ~np.isnat(stamps)
     found = np.full(len(stamps), np.nan)
     found[there] = 1e-9 * (ticks[there] - ticks[there][0]) if np.any(there) else 0.0
@@ -173,13 +167,14 @@ def seconds(stamps: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Head:
-    """What stands above the rows of a table: names of its columns, their units if it has a row of them, where its rows begin."""
+    """The lines above the rows of a table: names of its columns, their units if there is a row of them, index of its
+    first row."""
 
     names: list[str]
     units: dict[str, str]
     begin: int
     why: str = ""
-    """Why a column may be missing, where there are no names or no rows."""
+    """Why a column may be missing, without names or rows."""
 
 
 def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool = False) -> Head:
@@ -187,8 +182,8 @@ def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool 
 
     Args:
       rows: of cells; a comment is a row whose first cell begins with its mark, an empty one has no cell.
-      wanted: names that are looked for: of several lines that may be the header, the one with most of them is.
-      headless: whether columns go by number whatever the table has.
+      wanted: names to look for: of several possible headers the one with most of them is chosen.
+      headless: whether columns are named by number.
     """
     wanted = set(wanted)
     plain = [row for row in rows if row and not row[0].startswith(COMMENTS)]
@@ -218,14 +213,14 @@ def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool 
         why = f"its header has {len(last)} names, and its rows have {width} cells"
         if not last or headless:
             some = ", ".join(map(repr, by_number[:6])) + (", …" if width > 6 else "")
-            why = f"it has no header, its columns go by number: {some}"
+            why = f"it has no header, its columns are numbered: {some}"
         return Head(by_number, {}, begin, why)
     # The last line has the names, or the units of those above it.
     *names_first, last = found
     spelt = [_spelt(cell) for cell in last]
     is_units = bool(names_first) and 2 * sum(unit in _UNITS for unit in spelt) > len(spelt)
     usual = len(found) - (2 if is_units else 1)
-    # A name may stand in two lines, as `joint1,joint1` and `position,current`.
+    # A name may be in two lines, as `joint1,joint1` and `position,current`.
     several = [len(set(row)) < width for row in found]
     pairs = [i for i in range(1, len(found)) if several[i - 1] or several[i]]
     joined = {i: ["/".join(filter(None, pair)) for pair in zip(found[i - 1], found[i], strict=True)] for i in pairs}
@@ -244,12 +239,11 @@ _UNITS = set(
 
 
 def _spelt(cell: str) -> str:
-    """A unit as it stands in a cell, without brackets."""
     return cell.strip().strip("[](){}").strip().lower()
 
 
 def _fitted(row: list[str], late: list[list[str]], width: int) -> list[str] | None:
-    """A line above the rows as names of as many columns; None where it is none."""
+    """Return a line above the rows as names of as many columns; None if it does not match."""
     if not row or not any(row):
         return None
     if len(row) > width:
@@ -265,7 +259,7 @@ def _fitted(row: list[str], late: list[list[str]], width: int) -> list[str] | No
 
 
 def decoded(raw: bytes) -> str | None:
-    """Text of bytes: UTF-8, UTF-16 (also without a mark), or else Latin-1; None where they are no text."""
+    """Return the text of bytes: UTF-8, UTF-16 (also without a mark), or else Latin-1; None for binary data."""
     marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe\0\0": "utf-32", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
     for mark, name in marks.items():
         if raw.startswith(mark):
@@ -287,16 +281,16 @@ class TextTable:
     """A table as text."""
 
     def __init__(self, path: Path, raw: bytes, wanted: Iterable[str] = (), form: TextForm | None = None):
-        """Look at its first lines.
+        """Read the first lines.
 
         Args:
           path: of the file, for messages.
           raw: its bytes.
-          wanted: names that are looked for in the header.
-          form: what is stated of its form.
+          wanted: names to look for in the header.
+          form: its stated format.
 
         Raises:
-          InputError: no text, or an empty file.
+          InputError: not text, or an empty file.
         """
         self.path = path
         form = form or TextForm()
@@ -318,14 +312,9 @@ class TextTable:
             self._text = re.sub(r"(?m)^[ \t]+|[ \t]+$", "", re.sub(r"[ \t]+", " ", self._text))
         rows = [self._split(line) for line in sample]
         self.head = find_head(rows, wanted, form.headless)
-        marks = {
-            a or b
-            for row in rows[self.head.begin :]
-            for c in row
-            if (m := _NUMBER.fullmatch(c))
-            for a, b in [m.groups()]
-        }
-        self.decimal = form.decimal or ("," if marks - {None} == {","} else ".")
+        numeric = (m for row in rows[self.head.begin :] for c in row if (m := _NUMBER.fullmatch(c)))
+        marks = {mark for m in numeric for mark in m.groups() if mark}
+        self.decimal = form.decimal or ("," if marks == {","} else ".")
         self._lists = {
             name: max((len(elements(row[j])) for row in rows[self.head.begin :] if j < len(row)), default=0)
             for j, name in enumerate(self.head.names)
@@ -336,7 +325,7 @@ class TextTable:
 
     @property
     def names(self) -> list[str]:
-        """Of the columns; elements of lists in cells as `name/0`."""
+        """Names of the columns; elements of lists in cells as `name/0`."""
         return [
             part
             for name in self.head.names
@@ -357,7 +346,7 @@ class TextTable:
         return [cell.strip() for cell in cells]
 
     def _cut_last(self, rows: list[list[str]]) -> str:
-        """Take a last line off that was cut short; return it."""
+        """Remove an incomplete last line; return it."""
         end = len(self._text.rstrip())
         last = self._text[self._text.rfind("\n", self._begin, end) + 1 : end] if end > self._begin else ""
         data = rows[self.head.begin :]
@@ -373,7 +362,7 @@ class TextTable:
         return last
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Line and cells of every row. A line is a row, whatever quotes are open at its end: no number has two lines."""
+        """Yield line and cells of every row. A line is a row, also with an open quote at its end."""
         for number, line in enumerate(StringIO(self._text[self._begin :]), 1 + self._top + self._skipped):
             line = line.strip("\n\0") if self.separator == "\t" else line.strip(" \t\n\0")
             if line and not line.startswith(COMMENTS):
@@ -381,7 +370,6 @@ class TextTable:
 
     @cached_property
     def _index(self) -> dict[str, tuple[int, int | None]]:
-        """Where a column is: its number, and that of an element."""
         found: dict[str, tuple[int, int | None]] = {}
         for j, name in enumerate(self.head.names):
             count = self._lists[name]
@@ -390,7 +378,7 @@ class TextTable:
         return found
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        """Columns by name, shape (n,) each: numbers, dates or clock times; NaN or NaT for a cell that is none of these."""
+        """Return columns by name, shape (n,) each: numbers, dates or clock times; NaN or NaT for other cells."""
         where = {name: self._index[name] for name in wanted}
         if all(k is None for _, k in where.values()) and (found := self._read_at_once(wanted)) is not None:
             return found
@@ -408,7 +396,7 @@ class TextTable:
         return {name: np.concatenate(blocks) if blocks else np.empty(0) for name, blocks in parts.items()}
 
     def _read_at_once(self, wanted: list[str]) -> dict[str, np.ndarray] | None:
-        """Columns of a table that is plain; None of any other."""
+        """Return the columns of a plain table; None for others."""
         import pyarrow as pa
         import pyarrow.csv
 
@@ -432,7 +420,7 @@ class TextTable:
         return {name: table.column(key).to_numpy().astype(np.float64) for name, key in mine.items()}
 
     def row(self, index: int) -> str:
-        """A row for people: counted from 0, and its line in the file."""
+        """Return a row for messages: counted from 0, and its line in the file."""
         return self._at(index)[0]
 
     def _at(self, index: int) -> tuple[str, list[str]]:
@@ -440,7 +428,7 @@ class TextTable:
         return f"row {index} (line {line})", cells
 
     def fault(self, name: str, index: int) -> str:
-        """What is wrong with a cell that is no number."""
+        """Return the fault of a cell that is not a number."""
         where, cells = self._at(index)
         if len(cells) != len(self.head.names):
             return f"{where}: expected {len(self.head.names)} columns, got {len(cells)}"
@@ -448,7 +436,7 @@ class TextTable:
 
 
 def _separator(lines: list[str]) -> str:
-    """The separator at which most cells are numbers in rows of the same length."""
+    """Return the separator with most numeric cells in rows of the same length."""
 
     def score(separator: str) -> tuple[float, int]:
         sample = [re.sub(r"[ \t]+", " ", line.strip()) for line in lines] if separator == " " else lines

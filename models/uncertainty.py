@@ -1,7 +1,7 @@
 """Uncertainty of a joint as joints: one standard deviation each along independent directions.
 
 A description has tolerances; a diagnosed one states the joint uncertainty of its numbers, effects and discrepancies
-(`joint.Uncertainty`). A result that depends on the joint, a simulated channel or an estimate, then has as uncertainty
+(`joint_parts.Uncertainty`). A result that depends on the joint, a simulated channel or an estimate, then has as uncertainty
 the root of the sum of squares of its changes along these directions (to first order, each change over a whole
 standard deviation).
 """
@@ -14,10 +14,11 @@ import numpy as np
 
 from . import causes
 from .calibration import Calibration, slots
-from .joint import Joint, Mounting
+from .joint import Joint
+from .joint_parts import Mounting
 
 Change = Mapping[str, float]
-"""Changes of quantities, by the names of `joint.Uncertainty`, in their units."""
+"""Changes of quantities, by the names of `joint_parts.Uncertainty`, in their units."""
 
 
 def directions(joint: Joint, mounting: Mounting | None = None) -> list[np.ndarray]:

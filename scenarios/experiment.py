@@ -16,7 +16,8 @@ from ..estimator.errors import FilterDiverged
 from ..estimator.estimator import Estimator, KnownJoint, Posterior
 from ..models import own_sensors
 from ..models.errors import InputError, InputWarning
-from ..models.joint import Joint, Mounting
+from ..models.joint import Joint
+from ..models.joint_parts import Mounting
 from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
 from ..sim import plant, sensors

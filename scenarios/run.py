@@ -17,7 +17,8 @@ from ..estimator.estimator import KnownJoint, Posterior
 from ..models.arm import ArmRecord
 from ..models.arm_dynamics import Arm
 from ..models.errors import InputError, nearest
-from ..models.joint import Joint, beyond_sentence
+from ..models.joint import Joint
+from ..models.joint_parts import beyond_sentence
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import Recording

@@ -15,7 +15,8 @@ from pydantic import Field, PrivateAttr, model_serializer, model_validator
 from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest, unknown_key
 from ..models.files import M, Strict, find, kind_of, parse, read_yaml, yaml_value
-from ..models.joint import SYMBOLS, Joint, Mounting, Sensors, load_joint
+from ..models.joint import Joint, load_joint
+from ..models.joint_parts import SYMBOLS, Mounting, Sensors
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import check_channels
 from ..models.signals import SENSED
@@ -200,17 +201,7 @@ class Scenario(Strict):
         for i, (a, b) in enumerate(itertools.pairwise(times)):
             if b <= a:
                 raise ValueError(f"trajectory.{i + 1}.time: expected a time after {a:g} s, got {b:g} s")
-        names = [f.name for f in self.filters]
-        for i, name in enumerate(names):
-            if name in names[:i] or name in ("none", "sensor"):
-                raise ValueError(f"filters.{i}.name: expected another name, got {name!r}")
-        if self.feedback not in ("none", "sensor", *names):
-            hint = nearest(self.feedback, names)
-            raise ValueError(f"feedback: expected none, sensor or one of {names}, got {self.feedback!r}{hint}")
-        if self.feedback in names and not self.filters[names.index(self.feedback)].build().causal:
-            raise ValueError(
-                f"feedback: expected a filter that can run in the loop, got {self.feedback!r}, which looks ahead"
-            )
+        self._check_filters()
         for i, channel in enumerate(self.record):
             if channel not in SENSED or channel in self.record[:i]:
                 raise ValueError(
@@ -227,6 +218,19 @@ class Scenario(Strict):
                 f"got {self.transient:g} s"
             )
         return self
+
+    def _check_filters(self) -> None:
+        names = [f.name for f in self.filters]
+        for i, name in enumerate(names):
+            if name in names[:i] or name in ("none", "sensor"):
+                raise ValueError(f"filters.{i}.name: expected another name, got {name!r}")
+        if self.feedback not in ("none", "sensor", *names):
+            hint = nearest(self.feedback, names)
+            raise ValueError(f"feedback: expected none, sensor or one of {names}, got {self.feedback!r}{hint}")
+        if self.feedback in names and not self.filters[names.index(self.feedback)].build().causal:
+            raise ValueError(
+                f"feedback: expected a filter that can run in the loop, got {self.feedback!r}, which looks ahead"
+            )
 
     @property
     def ticks(self) -> int:

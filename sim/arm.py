@@ -1,13 +1,13 @@
 """Joints in series: one MuJoCo model of several joints, each on the link of the one before.
 
-A joint's axis lies across its link, which hangs straight down at zero; `turn` puts it at another angle about the link
-before it than that one's axis. Axes that are all parallel keep the arm in a vertical plane. What is bolted to a joint's
-output, its `Mounting`, is its link with all that is fixed to it, housing and motor of the next joint included: rotors and
-wave generators of the joints have inertia about their axis and no mass. A mounting states inertia Jl and gravity moment Mg
-and no mass; the link's is `plant.link_mass`, which the joints before it feel.
+A joint's axis is perpendicular to its link, which points straight down at zero; `turn` rotates it about the link
+before it against that one's axis. An arm of parallel axes moves in a vertical plane. A joint's `Mounting` is its link
+with all that is fixed to it, including housing and motor of the next joint: rotors and wave generators have inertia
+about their axis and no mass. A mounting states inertia Jl and gravity moment Mg but no mass; the link's is
+`plant.link_mass`, which loads the joints before it.
 
-The rotors turn with the links that carry them, as real ones do. That couples the joints by Jm θ̈, a hundredth of what a rotor
-asks for when its own joint moves; the equations of a joint alone (`models.dynamics`) leave it out.
+The rotors turn with their links, as real ones do. That couples the joints by Jm θ̈, a hundredth of the torque of a
+rotor when its own joint moves; the equations of a single joint (`models.dynamics`) do not have it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..models.parameters import GRAVITY
 from . import native, plant
 from .shape import shape
 
-_MASSLESS = 1e-9  # kg: MuJoCo wants every body to have some
+_MASSLESS = 1e-9  # kg: MuJoCo needs a mass
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ArmJoint:
     Attributes:
       name: in the arm.
       joint: its description.
-      record: parameters with what is bolted to its output, shape (1,).
+      record: parameters with its load, shape (1,).
       length: from its axis to the next joint's, along its link [m].
       turn: of its axis about the link before it, against that one's axis [rad].
     """
@@ -48,7 +48,7 @@ class ArmJoint:
 
     @property
     def prefix(self) -> str:
-        """What its names in the model begin with."""
+        """Prefix of its names in the model."""
         return f"{self.name}_"
 
 
@@ -61,10 +61,10 @@ def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_cu
       ideal_current: as in `plant.build`.
 
     Returns:
-      The model. Coordinates and activations as of `plant.build`, joint after joint; names begin with `ArmJoint.prefix`.
+      The model. Coordinates and activations as of `plant.build`, joint by joint; names begin with `ArmJoint.prefix`.
 
     Raises:
-      InputError: an MJCF that cannot be shown.
+      InputError: an invalid MJCF.
     """
     arm = mujoco.MjSpec()
     at = arm.worldbody
@@ -90,10 +90,10 @@ def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_cu
 
 
 def rigid(joints: Sequence[ArmJoint]) -> str:
-    """The arm's links alone, without drives, as the text of an MJCF: what a recording says of the arm (`models.arm`).
+    """Return the arm's links without drives, as the text of an MJCF, for a recording (`models.arm`).
 
     Args:
-      joints: with the records that are known of them; a part that hangs by a spring counts as rigid.
+      joints: with their known records; a flexible part counts as rigid.
     """
     root = ElementTree.Element("mujoco", model="arm")
     ElementTree.SubElement(root, "compiler", angle="radian")
@@ -116,7 +116,6 @@ def rigid(joints: Sequence[ArmJoint]) -> str:
 
 
 def _about_z(angle: float) -> list[float]:
-    """Quaternion of a turn [rad] about the vertical."""
     return [float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle))]
 
 

@@ -1,4 +1,4 @@
-"""A joint's laws on a hinge of anybody's model: rotor, wave generator and the plugin are added to an `mujoco.MjSpec`."""
+"""A joint's laws on a hinge of any model: adds rotor, wave generator and the plugin to a `mujoco.MjSpec`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from ..models.joint import Joint
 from . import native, plant, plugin
 
 _LONGEST = 1.5  # rad: of the gear's fastest oscillation in a step; the scheme is stable below 2
-_MASSLESS = 1e-9  # kg: MuJoCo wants every body to have some
+_MASSLESS = 1e-9  # kg: MuJoCo needs a mass
 
 
 @dataclass(frozen=True)
 class Attached:
-    """Names in the model of what `attach` added or moved: joints of rotor and wave generator, actuators of the motor."""
+    """Names in the model of the parts that `attach` added or moved: joints of rotor and wave generator, actuators of
+    the motor."""
 
     rotor: str
     wave_generator: str
@@ -31,8 +32,8 @@ class Attached:
 
 @dataclass(frozen=True)
 class _Hinge:
-    """A hinge of a compiled model: `inertia` about it at qpos0 [kg·m²]; its `range` [rad]; `place`, `axis` in the frame of the
-    parent's body."""
+    """A hinge of a compiled model: `inertia` about it at qpos0 [kg·m²]; its `range` [rad]; `place`, `axis` in the
+    frame of the parent's body."""
 
     inertia: float
     range: np.ndarray
@@ -44,7 +45,7 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
     """Put a joint's laws on a hinge; see `flexspline.attach`.
 
     Raises:
-      InputError: a hinge that there is not, a model that does not compile, a timestep that is too long.
+      InputError: no such hinge, a model that does not compile, a timestep that is too long.
     """
     plugin.register()
     record = joint.record()
@@ -52,7 +53,7 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
     _check_hinge(spec, joint_name)
     if p["flexible_share"] > 0:
         p["flexible_share"] = 0.0
-        text = f"joint {joint_name!r}: the flexible part of its link is left out, as the model has bodies of its own"
+        text = f"joint {joint_name!r}: the flexible part of its link is left out, as the model has its own bodies"
         warnings.warn(text, InputWarning, stacklevel=3)
     _check_timestep(spec, joint_name, p)
     before = _compiled(spec)
@@ -75,7 +76,6 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
 
 
 def _compiled(spec: mujoco.MjSpec, keys: bool = True) -> mujoco.MjModel:
-    """The model of a copy, with bodies as they are in the spec."""
     copy = spec.copy()
     copy.compiler.fusestatic = False
     if not keys:
@@ -142,7 +142,7 @@ def _change(spec: mujoco.MjSpec, name: str, record: np.ndarray, hinge: _Hinge) -
     plant.put_laws(spec, record, prefix, name)
     moved = [one for one in spec.actuators if one.target == name and one.trntype in _AT_JOINT]
     for one in moved:
-        if one.inheritrange > 0:  # of the hinge, whose angle it still commands
+        if one.inheritrange > 0:  # it still commands the hinge's angle
             one.ctrlrange = np.mean(hinge.range) + 0.5 * one.inheritrange * np.ptp(hinge.range) * np.array([-1.0, 1.0])
             one.inheritrange = 0.0
         one.target, one.gear = prefix + "rotor", one.gear / p["N"]
@@ -154,7 +154,6 @@ def _change(spec: mujoco.MjSpec, name: str, record: np.ndarray, hinge: _Hinge) -
 
 
 def _without_defaults(element: Any, blank: Any, *kept: str) -> None:
-    """Undo what the model's defaults say of an element that was added to it."""
     own = {"classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata", *kept}
     for name in dir(element):
         if not name.startswith("_") and name not in own and not callable(getattr(element, name)):
@@ -167,7 +166,7 @@ _AT_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 def _keys(
     before: mujoco.MjModel, after: mujoco.MjModel, name: str, attached: Attached, record: np.ndarray
 ) -> Iterator[dict[str, np.ndarray]]:
-    """The keyframes of a model with a gear more: its motor side where the hinge is."""
+    """Yield the keyframes of a model with another gear, with its motor side at the hinge's angle."""
     added = [after.joint(one) for one in (attached.rotor, attached.wave_generator)]
     hinge = before.joint(name)
     for k in range(before.nkey):
@@ -189,7 +188,7 @@ def _keys(
 
 
 def align(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Turn rotors and wave generators to where their links are; see `flexspline.align`."""
+    """Turn rotors and wave generators to the angles of their links; see `flexspline.align`."""
     plugin.register()
     gears = [i for i in range(model.nplugin) if model.plugin[i] == plugin.slot()]
     if not gears:

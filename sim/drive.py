@@ -26,16 +26,17 @@ CONTROLLER = np.dtype(
 class Controller(Strict):
     """Position controller: PD with optional integral on the measured motor angle, and joint torque feedback.
 
-    `i = kp·e + kd·e' + ki·∫e dt + torque_feedback·T̂/(N·Kt)`, clipped at the motor's current limit, with
-    e = N·q_d − θm. The measured velocity is the difference quotient of the encoder through a first-order low-pass.
-    The integral stops while the current is clipped. `delay`: dead time of the drive, from the command to the winding.
+    `i = kp·e + kd·e' + ki·∫e dt + torque_feedback·T̂/(N·Kt)`, clipped at the motor's current limit, with e = N·q_d −
+    θm. The measured velocity is the difference quotient of the encoder through a first-order low-pass. The integral
+    stops while the current is clipped. `delay`: dead time of the drive, from the command to the winding.
 
-    With a gain kT = `torque_loop` the estimate closes a torque loop instead, inside an impedance (Albu-Schäffer, Ott & Hirzinger,
-    "A unified passivity-based control framework for position, torque and impedance control of flexible joint robots", IJRR 2007):
+    With a gain kT = `torque_loop` the estimate closes a torque loop instead, inside an impedance (Albu-Schäffer, Ott
+    & Hirzinger, "A unified passivity-based control framework for position, torque and impedance control of flexible
+    joint robots", IJRR 2007):
 
         u = N·Kt·(kp·e + kd·e') + gravity·Mg·sin(θm/N)        i = (u + kT·(u − T̂))/(N·Kt)
 
-    so that the joint takes the torque u, with the rotor's inertia and the friction 1/(1 + kT) of what they are. N²·Kt·kp is its
+    The joint then has the torque u, with 1/(1 + kT) of the rotor's inertia and the friction. N²·Kt·kp is its
     stiffness [N·m/rad], N²·Kt·kd its damping [N·m·s/rad].
     """
 
@@ -50,14 +51,14 @@ class Controller(Strict):
 
     torque_loop: Annotated[float, Field(ge=0, le=1000, description="gain of the torque loop; 0: none")] = 0.0
     gravity: Annotated[
-        float, Field(ge=0, le=1, description="share of the link's weight that the drive makes up for")
+        float, Field(ge=0, le=1, description="share of the link's weight that the drive compensates")
     ] = 0.0
 
     def lagging(self, delay: float) -> Controller:
-        """The same for a drive that lags by `delay` [s]: gains lowered so that its phase margin stays.
+        """Return the controller for a drive with a delay [s]: lower gains with the same phase margin.
 
-        The dead time, half a control period and the velocity's low-pass lag together; at the crossover, about Kt·kd/J, the phase
-        that they cost stays as it is where kd falls as they grow, and kp with its square.
+        The dead time, half a control period and the velocity's low-pass lag together. At the crossover, about
+        Kt·kd/J, their phase stays the same if kd falls as they grow, and kp with its square.
         """
         own = 0.5e-3 + self.velocity_filter
         share = own / (own + delay)
@@ -66,7 +67,7 @@ class Controller(Strict):
         )
 
     def record(self, p: np.void, dt: float, feedback: bool) -> np.ndarray:
-        """The controller for a joint's parameters and a control period [s], as a record, shape (1,)."""
+        """Return the controller for a joint's parameters and a control period [s], as a record, shape (1,)."""
         record = np.zeros(1, CONTROLLER)
         c = record[0]
         c["kp"], c["kd"], c["ki"] = self.kp, self.kd, self.ki
@@ -85,7 +86,7 @@ class Controller(Strict):
 
 @kernel
 def control(position, velocity, measured, torque, state, dt, c):
-    """Current command [A].
+    """Return the current command [A].
 
     Args:
       position, velocity: commands [rad], [rad/s], output side.

@@ -1,10 +1,9 @@
-"""The closed loop, compiled: plant, sensors, one estimator and the drive at control rate, with no Python inside.
+"""The closed loop, compiled: plant, sensors, one estimator and the drive at control rate, without Python.
 
-Joints in series share the plant alone: each has its own sensors, estimator and drive. One call runs a whole scenario and
-releases the interpreter's lock, so that threads run scenarios side by side. Only an
-estimator whose torque is fed back changes what happens, so only that one is in here; it is called by its address, as all
-estimators share one signature (`models.step`). Every other one runs over the signals afterwards, and says to the bit what
-it would have said in the loop.
+Joints in series share the plant only: each has its own sensors, estimator and drive. One call runs a whole scenario
+without the interpreter's lock, so that threads run scenarios in parallel. Only a fed-back estimator changes the
+motion, so only that one is in the loop. It is called by its address, as all estimators have one signature
+(`models.step`). The others run over the signals afterwards, with the same results to the bit.
 """
 
 from __future__ import annotations
@@ -58,23 +57,24 @@ _ADDRESSES = np.dtype(
         )
     ]
 )  # fmt: skip
-"""Where things of a joint lie: fields in MuJoCo's structures (`native.offsets`), the current in `act` (−1: there is none),
-`plant.memory` in the plugin state, sensors in `sensordata`, the numbers of the link's body, the first coordinate, the motor."""
+"""Addresses of a joint's data: fields in MuJoCo's structures (`native.offsets`), the current in `act` (−1: none),
+`plant.memory` in the plugin state, sensors in `sensordata`, the numbers of the link's body, the first coordinate,
+the motor."""
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """What a closed-loop run gives; n control ticks.
+    """Result of a closed-loop run; n control ticks.
 
     Attributes:
       time: shape (n,) [s].
       truth: shape (n,), records of `TRUTH`, SI.
       readings: shape (n,), records of `signals.READINGS`, SI.
       command: shape (n,), current command [A].
-      failed: tick at which the estimator in the loop failed, and its status; (n, 0) where it did not.
-      stamps: shape (n,), time stamps of the readings [s]; `time` where the clock is exact.
-      commanded: whether estimators that read the current command are told it; otherwise they, too, have the current sensor alone.
-      further: what sensors of plugins read (`models.own_sensors`), shape (n,) each.
+      failed: tick at which the estimator in the loop failed, and its status; (n, 0) if it did not.
+      stamps: shape (n,), time stamps of the readings [s]; `time` for an exact clock.
+      commanded: whether estimators may read the current command; otherwise they use the current sensor.
+      further: readings of sensors of plugins (`models.own_sensors`), shape (n,) each.
     """
 
     time: np.ndarray
@@ -88,26 +88,26 @@ class Simulation:
 
 
 SENSOR_FEEDBACK = "sensor"
-"""Stands for an estimator where the torque sensor's own reading is fed back."""
+"""Feedback of the torque sensor's reading instead of an estimate."""
 
 
 @dataclass(frozen=True)
 class Driven:
-    """A joint in the closed loop: how it is driven and read; n control ticks.
+    """A joint in the closed loop: its drive and sensors; n control ticks.
 
     Attributes:
       record: the plant's parameter record, shape (1,).
       position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
       sensors, noise: of `sim.sensors`.
       controller: `drive.CONTROLLER` record, shape (1,).
-      feedback: the estimator that closes the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: none.
+      feedback: the estimator in the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: no feedback.
       temperature: of the gear [°C], shape (n,); constant by default.
-      tip_force: tangential force on the link [N] that the external torque comes from, shape (n,): the wrench shows it. By default
-        the external torque is a torque alone.
-      crosstalk: of the wrench, shape (6, 6): what of its axes' loads shows in the others; none by default.
+      tip_force: tangential force on the link [N] that causes the external torque, shape (n,): the wrench shows it. By
+        default the external torque is a pure torque.
+      crosstalk: of the wrench, shape (6, 6): shares of an axis' load in the others; none by default.
       stamps: time stamps of the readings [s], shape (n,); exact by default.
-      commanded: whether the current command is told to estimators that read it (`models.step.CompiledStep.reads_command`).
-      prefix: of its names in the model, where there are several joints.
+      commanded: whether estimators may read the current command (`models.step.CompiledStep.reads_command`).
+      prefix: of its names in a model of several joints.
     """
 
     record: np.ndarray
@@ -127,18 +127,18 @@ class Driven:
 
 
 class ClosedLoop:
-    """Closed loops of a model's joints under way: as many ticks at a time as one likes, to the bit the same in any pieces.
+    """Closed loops of a model's joints in progress: any number of ticks at a time, with the same results to the bit.
 
     Attributes:
-      simulations: of each joint; their arrays fill up as the loop goes on. `simulation`: of the first.
-      done: ticks that have been simulated.
+      simulations: of each joint; their arrays fill up. `simulation`: of the first.
+      done: number of simulated ticks.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven]):
-        """Stand at rest at the first commanded positions.
+        """Start at rest at the first commanded positions.
 
         Args:
-          model: of `plant.build` or `arm.build`; left as it is.
+          model: of `plant.build` or `arm.build`; it is not changed.
           joints: in the model's order, with as many ticks each.
         """
         substeps, timestep = round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep)
@@ -157,7 +157,7 @@ class ClosedLoop:
             for one in joints
         ]
         kept = [step.arrays() for step in steps]
-        told = np.array([one.commanded and step.reads_command for one, step in zip(joints, steps, strict=True)])
+        commanded = np.array([one.commanded and step.reads_command for one, step in zip(joints, steps, strict=True)])
         estimators = np.array([[address, *(x.ctypes.data for x in rest)] for address, *rest in kept], dtype=np.int64)
         sensors = np.stack([one.sensors for one in joints])
         controller = np.concatenate([one.controller for one in joints])
@@ -167,11 +167,11 @@ class ClosedLoop:
         for i, one in enumerate(joints):
             if one.crosstalk is not None:
                 crosstalk[i] = one.crosstalk
-        self._alive = model, data, steps, kept  # whose memory compiled code reads by address
+        self._alive = model, data, steps, kept  # keep alive: compiled code uses their addresses
         self._constant = (
             native.function_address("mj_step"), model._address, data._address,
             np.concatenate([_addresses(model, one.prefix) for one in joints]), substeps, timestep,
-            np.concatenate([one.record for one in joints]), sensors, controller, estimators, told,
+            np.concatenate([one.record for one in joints]), sensors, controller, estimators, commanded,
             np.zeros(sensors.shape), drive, given.stamps[:, 0].copy(), crosstalk,
         )  # fmt: skip
         self.done, n = 0, given.stamps.shape[1]
@@ -200,10 +200,10 @@ class ClosedLoop:
         return self.simulations[0]
 
     def advance(self, ticks: int) -> slice:
-        """Simulate so many more ticks, or those that are left; nothing more once an estimator in the loop has failed.
+        """Simulate up to `ticks` more ticks; none after an estimator in the loop has failed.
 
         Returns:
-          The ticks that are new.
+          The new ticks.
         """
         begin, n = self.done, len(self._simulations[0].time)
         if self._failed[:, 0].min() < n:
@@ -216,7 +216,7 @@ class ClosedLoop:
 
 
 class _Given(NamedTuple):
-    """What drives joints, by joint and tick, shape (joints, n), as in `Driven`; noise shape (joints, n, channels)."""
+    """Inputs of joints, by joint and tick, shape (joints, n), as in `Driven`; noise shape (joints, n, channels)."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -228,7 +228,7 @@ class _Given(NamedTuple):
 
     @classmethod
     def of(cls, joints: Sequence[Driven], step: float) -> _Given:
-        """`step`: between ticks [s]."""
+        """Collect the inputs; `step`: between ticks [s]."""
         n = len(joints[0].position)
         many, time = (len(joints), n), np.arange(n) * step
         temperature, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
@@ -245,7 +245,7 @@ class _Given(NamedTuple):
 
 
 class _Took(NamedTuple):
-    """What became of joints, by joint and tick, shape (joints, n): `seen`, shape (joints, channels, n), is what the sensors see
+    """Results of joints, by joint and tick, shape (joints, n). `seen`, shape (joints, channels, n): sensor inputs
     before delay, noise and quantisation; `reading_of`: `readings` as floats, shape (joints, n, channels)."""
 
     truth: np.ndarray
@@ -256,7 +256,6 @@ class _Took(NamedTuple):
 
 
 def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
-    """A record of `_ADDRESSES` of the joint whose names begin so, shape (1,)."""
     at = np.zeros(1, _ADDRESSES)
     for name in _FIELDS:
         at[name] = native.offsets()[name]
@@ -271,13 +270,13 @@ def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
 
 
 def _as_floats(records: np.ndarray) -> np.ndarray:
-    """Records of float64 fields, shape (joints, n), as shape (joints, n, fields); a view."""
+    """Return a view of records of float64 fields, shape (joints, n), as shape (joints, n, fields)."""
     return records.view(np.float64).reshape(*records.shape, -1)
 
 
 @kernel
 def _read(s, k, dt, value, theta, raw, seen, noise_of, sensors):
-    """What sensor s gives at tick k of an ideal value; keeps what it needs for the next tick in `raw` and `seen`."""
+    """Return the reading of sensor s at tick k of an ideal value; keep data for the next tick in `raw` and `seen`."""
     distorted = distort(value, theta[ROTOR], theta[LINK], sensors[s])
     seen[s, k] = low_pass(distorted, raw[s], seen[s, k - 1], sensors[s]) if k > 0 else distorted
     raw[s] = distorted
@@ -286,14 +285,16 @@ def _read(s, k, dt, value, theta, raw, seen, noise_of, sensors):
 
 @kernel
 def _in_force(command, j, step, delay, substeps):
-    """The current command [A] of joint j in force in a plant step, counted from the start; `delay`: of the drive, in steps."""
+    """Return the current command [A] of joint j in force in a plant step, counted from the start; `delay`: of the
+    drive, in steps."""
     k = (step - delay) // substeps
     return command[j, k] if k >= 0 else 0.0
 
 
 @kernel
 def _input(command, j, step, delay, substeps, Kt):
-    """Motor torque [N·m, motor side] that joint j is asked for in a plant step: of the mean command in it and the one before."""
+    """Return the commanded motor torque [N·m, motor side] of joint j in a plant step: of the mean command in it and
+    the one before."""
     in_force = _in_force(command, j, step, delay, substeps)
     return Kt * 0.5 * (in_force + _in_force(command, j, step - 1, delay, substeps))
 
@@ -323,7 +324,7 @@ def _loop(constant, drives, took, failed, begin, end):
     given = np.zeros(1, SAMPLE)
     given_of = given.view(np.float64)
     given_of[:] = np.nan
-    # Numbers and places that the steps within a tick need.
+    # For the steps within a tick.
     delay, motor, Kt = np.zeros(joints, np.int64), np.zeros(joints, np.int64), np.zeros(joints)
     for j in range(joints):
         delay[j], motor[j], Kt[j] = round(controller[j].delay / h), addresses[j].motor, record[j].Kt
@@ -335,15 +336,9 @@ def _loop(constant, drives, took, failed, begin, end):
         first = k * substeps
         for j in range(joints):
             p, at = record[j], addresses[j]
-            # Parts of arrays are taken once: each time costs more than the arithmetic.
-            angle, speed, raw_of, seen_of, sensor, its_noise = (
-                theta[j],
-                before[j],
-                raw[j],
-                seen[j],
-                sensors[j],
-                noise_of[j],
-            )
+            # Views of arrays cost more than the arithmetic: make each once.
+            angle, speed, raw_of = theta[j], before[j], raw[j]
+            seen_of, sensor, its_noise = seen[j], sensors[j], noise_of[j]
             for s in range(3):
                 angle[s], speed[s] = qpos[at.coordinate + s], qvel[at.coordinate + s]
             memory[at.memory + TEMPERATURE] = temperature[j, k]
@@ -365,7 +360,7 @@ def _loop(constant, drives, took, failed, begin, end):
             if estimators[j, 0] == 1:
                 estimate = readings[j, k - 1].joint_torque if k > 0 else 0.0
             elif estimators[j, 0] != 0:
-                # As differences of the time stamps, which is what whoever reads the signals afterwards has.
+                # Differences of the time stamps, as in the signals afterwards.
                 given[0].time = stamps[j, k] - began[j]
                 given[0].interval = stamps[j, k] - stamps[j, k - 1] if k > 0 else 0.0
                 given[0].current_command = np.nan
@@ -374,18 +369,12 @@ def _loop(constant, drives, took, failed, begin, end):
                 for s in range(channels):
                     if sensor[s].at_step == 0.0:
                         given_of[_READINGS_AT + s] = reading_of[j, k, s]
-                status = call_estimator(
-                    estimators[j, 0],
-                    estimators[j, 1],
-                    given.ctypes.data,
-                    estimators[j, 2],
-                    estimators[j, 3],
-                    estimators[j, 4],
-                )
+                step_at, memory_at, record_at, settings_at, out_at = estimators[j]
+                status = call_estimator(step_at, memory_at, given.ctypes.data, record_at, settings_at, out_at)
                 if status != 0:
                     failed[j, 0], failed[j, 1] = k, status
                     return
-                estimate = floats_at(estimators[j, 4])[0]
+                estimate = floats_at(out_at)[0]
             command[j, k] = control(
                 position[j, k], velocity[j, k], readings[j, k].motor_position, estimate, drive[j], dt,
                 controller[j],
@@ -404,28 +393,21 @@ def _loop(constant, drives, took, failed, begin, end):
             state = state_of(angle, omega, bristle, dahl, current[j], time, temperature[j, k])
             b = dynamics.balance(state, p)
             t = truth[j, k]
-            t.motor_position, t.wave_generator_position, t.link_position = (
-                angle[ROTOR],
-                angle[WAVE_GENERATOR],
-                angle[LINK],
-            )
-            t.motor_velocity, t.wave_generator_velocity = omega[ROTOR], omega[WAVE_GENERATOR]
-            t.link_velocity = omega[LINK]
+            t.motor_position, t.motor_velocity = angle[ROTOR], omega[ROTOR]
+            t.wave_generator_position, t.wave_generator_velocity = angle[WAVE_GENERATOR], omega[WAVE_GENERATOR]
+            t.link_position, t.link_velocity = angle[LINK], omega[LINK]
             t.motor_current, t.bristle, t.dahl = current[j], state.bristle, dahl
-            t.wave_generator_torque, t.flexspline_torque, t.joint_torque = (
-                b.wave_generator_torque,
-                b.flexspline_torque,
-                b.joint_torque,
-            )
+            t.wave_generator_torque, t.flexspline_torque = b.wave_generator_torque, b.flexspline_torque
+            t.joint_torque = b.joint_torque
 
             # The torque sensor and its wrench, which MuJoCo evaluates within the step.
             dynamics.readings(state, b, p, ideal[0])
             for axis in range(3):
                 ideal_of[_WRENCH_AT + axis] = sensordata[at.force + axis]
                 ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at.torque + axis]
-            # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
+            # MuJoCo counts all torques on the link's coordinate as the joint's; cable and stop act on the link.
             ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
-            # Its torque acts already; a force at a point in the sensor's plane is what the joint must hold against, along x.
+            # The external torque acts already; the joint also holds the tip force, in the sensor's plane along x.
             ideal_of[_WRENCH_AT] -= 0.5 * (tip_force[j, k] + (tip_force[j, k - 1] if k > 0 else 0.0))
             wrench[:] = ideal_of[_WRENCH_AT : _WRENCH_AT + 6]
             for axis in range(6):
@@ -436,7 +418,7 @@ def _loop(constant, drives, took, failed, begin, end):
                     reading_of[j, k, s] = _read(s, k, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor)
             applied[6 * at.link_body + 4] = -external[j, k]
 
-        # The other steps of the tick, whose sensors nobody reads: they are a tenth of a step.
+        # The other steps of the tick, without MuJoCo's sensors, which cost a tenth of a step.
         flags = disabled[0]
         disabled[0] = flags | _NO_SENSORS
         for s in range(1, substeps):

@@ -1,8 +1,8 @@
-"""MuJoCo's C structures and functions: where their fields lie, what their addresses are.
+"""Fields of MuJoCo's C structures, and addresses of its functions.
 
-Compiled code gets the addresses of an mjModel and an mjData. Where a field lies inside them is found once per
-process, by looking for the address that Python's view of the field reports, so that it holds for any build. MuJoCo is imported
-where it is used: `import mujoco` itself may run this (`flexspline.__init__`).
+Compiled code gets the addresses of an mjModel and an mjData. The offset of a field is found once per process by
+searching the address that Python's view of the field reports, so that it works for any build. MuJoCo is imported on
+use: `import mujoco` itself may run this (`flexspline.__init__`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _AT_ONCE = 64  # words
 
 @cache
 def library() -> ctypes.CDLL:
-    """MuJoCo's shared library, the one that the Python bindings use."""
+    """Return MuJoCo's shared library, as used by the Python bindings."""
     import mujoco
 
     folder = Path(mujoco.__file__).parent
@@ -35,17 +35,17 @@ def library() -> ctypes.CDLL:
 
 
 def function_address(name: str) -> int:
-    """Address of a function of the library."""
+    """Return the address of a function of the library."""
     return int(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)
 
 
 def install(name: str, address: int | None) -> None:
-    """Install a C function as a global callback, `mjcb_passive` and the like; None: none."""
+    """Install a C function as a global callback (`mjcb_passive` and others); None removes it."""
     _place(name).value = address
 
 
 def installed(name: str) -> bool:
-    """Whether a global callback is set."""
+    """Return whether a global callback is set."""
     return bool(_place(name).value)
 
 
@@ -54,12 +54,12 @@ def _place(name: str) -> ctypes.c_void_p:
 
 
 class _Replacement:
-    """Another function in the place of a global callback for as long as any thread is inside; then what was there before.
+    """Replaces a global callback while any thread is inside; afterwards the previous one is restored.
 
     Args:
       name: of the callback.
-      function: gives the address of the other function, when it is first needed.
-      wanted: says whether to replace what is there.
+      function: returns the address of the other function, when it is first needed.
+      wanted: returns whether to replace the current one.
     """
 
     def __init__(self, name: str, function: Callable[[], int], wanted: Callable[[], bool]):
@@ -96,9 +96,9 @@ _quiet = _Replacement(
 
 
 def quiet() -> AbstractContextManager[None]:
-    """Keep MuJoCo from printing its warnings and writing them to MUJOCO_LOG.TXT; it still counts them (`mjData.warning`).
+    """Suppress MuJoCo's warnings on the terminal and in MUJOCO_LOG.TXT; it still counts them (`mjData.warning`).
 
-    May be entered by several threads. A handler that somebody else has set is left alone.
+    Several threads may enter it. Another handler is kept.
     """
     return _quiet()
 
@@ -122,19 +122,19 @@ _untimed = _Replacement("mjcb_time", lambda: int(_clock_stopped().address), _no_
 
 
 def untimed() -> AbstractContextManager[None]:
-    """Keep MuJoCo from asking for the time of day, some thirty times a step, to fill `mjData.timer`: a fifth of a step.
+    """Stop MuJoCo's clock for `mjData.timer`, which takes a fifth of a step.
 
-    MuJoCo's Python package installs that clock. May be entered by several threads; a clock that somebody else has set is left
-    alone. A clock that stands still, not none, as another thread may be about to call it.
+    MuJoCo's Python package installs that clock. Several threads may enter; another clock is kept. The clock is
+    stopped, not removed, as another thread may be about to call it.
     """
     return _untimed()
 
 
 @cache
 def offsets() -> dict[str, int]:
-    """Offsets, in words of 8 bytes, of the fields that compiled code reads: sizes and arrays of mjModel and mjData by name,
-    `timestep` of mjModel's options, `time` of mjData and, in words of 4 bytes, `disableflags` of mjModel's options.
-    """
+    """Return offsets, in words of 8 bytes, of the fields for compiled code: sizes and arrays of mjModel and mjData by
+    name, `timestep` of mjModel's options, `time` of mjData and, in words of 4 bytes, `disableflags` of mjModel's
+    options."""
     import mujoco
     from mujoco.introspect import structs
 
@@ -149,13 +149,13 @@ def offsets() -> dict[str, int]:
         begin = find(instance._address, getattr(instance, known).ctypes.data) - names.index(known)
         found |= {name: begin + i for i, name in enumerate(names) if i >= names.index(first)}  # one pointer each
     names = [field.name for field in structs.STRUCTS["mjModel"].fields]
-    found |= {name: i for i, name in enumerate(names[: names.index("opt")])}  # the sizes stand first, one word each
+    found |= {name: i for i, name in enumerate(names[: names.index("opt")])}  # the sizes come first, one word each
     for name, instance, expected in (
         ("wrap_prm", model, model.wrap_prm.ctypes.data), ("qfrc_passive", data, data.qfrc_passive.ctypes.data),
         ("ntendon", model, 1),
     ):  # fmt: skip
         if ctypes.c_uint64.from_address(instance._address + 8 * found[name]).value != expected:
-            raise RuntimeError(f"MuJoCo {mujoco.__version__}: its structures are laid out in an unknown way")
+            raise RuntimeError(f"MuJoCo {mujoco.__version__}: its structures have an unknown layout")
     model.opt.disableflags, model.opt.timestep, data.time = 0x5C3A6E17, 2.3456781e-77, 1.2345678e-77
     found["disableflags"] = find(model._address, model.opt.disableflags, ctypes.c_uint32)
     found["timestep"] = find(model._address, int(np.float64(model.opt.timestep).view(np.uint64)))
@@ -164,11 +164,11 @@ def offsets() -> dict[str, int]:
 
 
 def find(address: int, value: int, word: type[ctypes.c_uint64] | type[ctypes.c_uint32] = ctypes.c_uint64) -> int:
-    """The first word at an address, and behind it, that holds a value."""
+    """Return the index of the first word from an address on with a value."""
     size = ctypes.sizeof(word)
     for begin in range(0, _FARTHEST // size, _AT_ONCE):
         words = np.array((word * _AT_ONCE).from_address(address + size * begin))
         found = np.flatnonzero(words == value)
         if len(found):
             return begin + int(found[0])
-    raise RuntimeError("MuJoCo: a structure is laid out in an unknown way")
+    raise RuntimeError("MuJoCo: a structure has an unknown layout")

@@ -9,14 +9,15 @@ import numpy as np
 
 from ..models import laws
 from ..models.errors import InputError
-from ..models.joint import Joint, Mounting, shipped
+from ..models.joint import Joint, shipped
+from ..models.joint_parts import Mounting
 from ..models.parameters import GRAVITY
 from . import native, plugin
 from .shape import shape
 
 TIMESTEP = 0.0002
 """Default timestep [s], chosen by the convergence study in docs/convergence.md."""
-_LOCKED = 1e6  # kg·m²: a rotor that no torque turns
+_LOCKED = 1e6  # kg·m², of a locked rotor
 _LEVER = 0.25  # m: largest distance of the link's centre of mass from the axis
 
 
@@ -31,20 +32,20 @@ def build(
     """Build the MuJoCo model of a joint.
 
     Args:
-      joint: the description; its MJCF, which is for looks, must be one that can be shown (`shape`).
-      mounting: what is bolted to the output; the joint's default.
+      joint: the description; its MJCF, which is for looks, must be valid (`shape`).
+      mounting: load on the output; by default the joint's.
       timestep: step of the integrator [s].
       record: parameter record, shape (1,), instead of the joint's own in that mounting (a joint within tolerance).
-      ideal_current: the motor's control is torque without the winding's dynamics and voltage limit, as the
-        independent reference solutions assume.
-      locked_rotor: the rotor cannot turn.
+      ideal_current: whether the motor's control is torque, without the winding's dynamics and voltage limit, as in
+        the independent reference solutions.
+      locked_rotor: whether the rotor is locked.
 
     Returns:
-      The model. Coordinates: rotor, wave generator, link, and what hangs on the link by a spring (where the link is not rigid).
-      Activation: motor current [A] (unless ideal). What the laws remember is plugin state (`plugin.STATES`).
+      The model. Coordinates: rotor, wave generator, link, and the flexible part of the link (if there is one).
+        Activation: motor current [A] (unless ideal). The laws' memory is plugin state (`plugin.STATES`).
 
     Raises:
-      InputError: an MJCF that cannot be shown; numbers of which MuJoCo makes no model.
+      InputError: an invalid MJCF; numbers of which MuJoCo cannot make a model.
     """
     shape(joint)
     record = joint.record(mounting) if record is None else record
@@ -58,7 +59,7 @@ def build(
 def describe(
     record: np.ndarray, timestep: float, ideal_current: bool = False, locked_rotor: bool = False
 ) -> mujoco.MjSpec:
-    """A joint with the numbers of a record, before it is compiled; its bodies are the test joint's."""
+    """Return the spec of a joint with the numbers of a record; its bodies are the test joint's."""
     plugin.register()
     p = record[0]
     with native.quiet():
@@ -66,7 +67,7 @@ def describe(
     set_numbers(spec, p, timestep, ideal_current)
     spec.delete(spec.actuator("mesh_friction"))  # the plugin's
     if p["flexible_share"] > 0:
-        _hang_flexibly(spec, p)
+        _add_flexible_part(spec, p)
     if locked_rotor:
         spec.joint("rotor").armature = _LOCKED
     put_laws(spec, record)
@@ -77,7 +78,7 @@ def put_laws(spec: mujoco.MjSpec, record: np.ndarray, prefix: str = "", link: st
     """Put a joint's laws on its rotor, wave generator, link and the two tendons between them, by names with a prefix.
 
     Args:
-      spec: not compiled yet; its timestep and integrator are those that it will run with.
+      spec: not compiled yet, with its final timestep and integrator.
       record: the joint's, shape (1,).
       prefix: of all names; link: the link's joint.
     """
@@ -111,18 +112,19 @@ def put_laws(spec: mujoco.MjSpec, record: np.ndarray, prefix: str = "", link: st
 
 
 def instance(model: mujoco.MjModel, prefix: str = "") -> int:
-    """Number of a joint's plugin instance."""
+    """Return the number of a joint's plugin instance."""
     return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, prefix + "joint"))
 
 
 def memory(model: mujoco.MjModel, data: mujoco.MjData, prefix: str = "") -> np.ndarray:
-    """What a joint's laws remember: its plugin state, shape (plugin.STATES,); a view."""
+    """Return a view of the memory of a joint's laws: its plugin state, shape (plugin.STATES,)."""
     at = model.plugin_stateadr[instance(model, prefix)]
     return data.plugin_state[at : at + plugin.STATES]
 
 
 def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | None = None) -> None:
-    """Put a model's joints at rest at a position (of each: rotor, wave generator, link [rad]; zero by default) at time 0.
+    """Put a model's joints at rest at a position (of each: rotor, wave generator, link [rad]; zero by default) at
+    time 0.
 
     Velocities in the model's state belong to the middle of a step (leapfrog), so the state starts half a step early.
 
@@ -145,22 +147,22 @@ def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | Non
         state[plugin.MEMORY : plugin.MEMORY + 3] = -1.5 * h * data.qacc[at]
         velocity, p = data.qvel[at], record[0]
         state[plugin.BRISTLE] = -h * velocity[plugin.WAVE_GENERATOR]
-        if p["hysteresis_torque"] != 0:  # what the first step takes to zero (laws.dahl_step)
+        if p["hysteresis_torque"] != 0:  # zero after the first step (laws.dahl_step)
             rate = plugin.transmission_at(data.qpos[at], velocity, 0.0, p).torsion_rate
             x = p["hysteresis_extent"]
             state[plugin.DAHL] = -np.sign(rate) * x * np.expm1(abs(rate) * h / x)
 
 
 def activation(model: mujoco.MjModel, actuator: str) -> int:
-    """Address of an actuator's activation."""
+    """Return the address of an actuator's activation."""
     return int(model.actuator_actadr[model.actuator(actuator).id])
 
 
 def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
     spec.option.timestep = timestep
-    # Nothing touches anything, and no joint has limits.
+    # No contacts, and no joint limits.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    # A motion that is not finite stays so, and is seen, instead of beginning again at zero.
+    # A diverged motion stays visible instead of restarting at zero.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for name, inertia in (("rotor", p["Jm"]), ("wave_generator", p["Jw"])):
@@ -178,7 +180,8 @@ def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current:
 
 
 def set_motor(actuator: Any, p: np.void) -> None:
-    """Make an actuator the motor with its winding: its control is the torque that the current controller is asked for [N·m]."""
+    """Make an actuator the motor with its winding: its control is the commanded torque of the current controller
+    [N·m]."""
     Kt = float(p["Kt"])
     error = actuator.set_to_dcmotor(
         motorconst=[Kt, Kt],
@@ -193,17 +196,19 @@ def set_motor(actuator: Any, p: np.void) -> None:
 
 
 def link_mass(p: np.void) -> tuple[float, float]:
-    """Mass of the link [kg] and how far its centre is from the axis [m]: a description states neither, only Mg and Jl."""
+    """Return the mass of the link [kg] and the distance of its centre from the axis [m]: a description has only Mg
+    and Jl."""
     moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"] - laws.flexible_inertia(p))
     if moment <= 0.0:
         return 0.1, 0.0
-    # It sits close enough for its own m r² to leave 40 % of the inertia to its shape.
+    # Its own m r² is at most 60 % of the inertia.
     lever = min(_LEVER, 0.6 * inertia / moment)
     return moment / lever, lever
 
 
 def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
-    """A mass with the gravity moment, off the link's axis by the gravity angle, and the rest of the inertia as its shape."""
+    """Set a mass with the gravity moment, at the gravity angle from the link's axis, and the remaining inertia as its
+    shape."""
     body = spec.body("link")
     inertia = float(p["Jl"] - laws.flexible_inertia(p))
     mass, position = link_mass(p)
@@ -217,8 +222,8 @@ def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
     flange.mass, flange.ipos, flange.inertia = 1e-6, [0.0] * 3, [1e-9] * 3
 
 
-def _hang_flexibly(spec: mujoco.MjSpec, p: np.void) -> None:
-    """Hang a share of the link's inertia on a spring, `laws.flexible_torque`; half of its damping, as everywhere."""
+def _add_flexible_part(spec: mujoco.MjSpec, p: np.void) -> None:
+    """Put a share of the link's inertia on a spring, `laws.flexible_torque`, with half of its damping, as everywhere."""
     inertia = float(laws.flexible_inertia(p))
     body = spec.body("link").add_body(name="flexible")
     body.explicitinertial = True

@@ -1,9 +1,9 @@
-"""The laws of `models.laws` as a MuJoCo engine plugin, `flexspline.joint`: what MJCF cannot say, compiled, no Python per step.
+"""The laws of `models.laws` as a MuJoCo engine plugin, `flexspline.joint`, compiled, without Python per step.
 
-An instance is a gear on one hinge. The rotor's body names it; a fixed tendon leads from the rotor to the wave generator and
-another from there to the hinge, so that no name has to be looked up. Its configuration is the joint's parameter record: each
-field of `models.parameters.PARAMETERS` that differs from `neutral()`. What the laws remember is plugin state: MuJoCo resets,
-copies, saves and restores it.
+An instance is a gear on one hinge. The rotor's body names it. A fixed tendon connects the rotor and the wave
+generator, and another the wave generator and the hinge, so that no name has to be looked up. Its configuration is the
+joint's parameter record: each field of `models.parameters.PARAMETERS` that differs from `neutral()`. The laws' memory
+is plugin state, which MuJoCo resets, copies, saves and restores.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from . import native
 NAME = "flexspline.joint"
 """Of the plugin."""
 STATES = 13
-"""Numbers of an instance's plugin state: bristle, Dahl state, velocities of the gear's coordinates a step before (four),
-temperature; then the first six as the step under way leaves them."""
+"""Numbers of an instance's plugin state: bristle, Dahl state, velocities of the gear's coordinates a step before
+(four), temperature; then the first six as written by the current step."""
 BRISTLE, DAHL, MEMORY, TEMPERATURE, _NEXT = 0, 1, 2, 6, 7
-"""Places in the plugin state. Temperature [°C]: change it at will."""
+"""Indices in the plugin state. Temperature [°C] may be changed at any time."""
 
 ROTOR, WAVE_GENERATOR, LINK, FLEXIBLE = 0, 1, 2, 3
-"""Order of a gear's coordinates; the fourth, against the link, where part of the link is on a spring."""
+"""Order of a gear's coordinates; the fourth is the flexible part's, against the link."""
 
 _HEADER = 7  # words before an instance's record: places of three positions and four velocities
 _BLANK = as_floats(neutral())
@@ -54,22 +54,23 @@ def _mixed(a, x, b, y):
 
 @kernel
 def transmission_at(theta, velocity, dahl, p):
-    """`dynamics.transmission` at coordinates and velocities, shape (3,) each: rotor, wave generator, link."""
+    """Return `dynamics.transmission` at coordinates and velocities, shape (3,) each: rotor, wave generator, link."""
     return dynamics.transmission(state_of(theta, velocity, 0.0, dahl, 0.0, 0.0, 0.0), p)
 
 
 @kernel
 def reduced_inertia(p):
-    """Inertia [kg·m², output side] that wave generator and (what is rigid of) the link oppose to the flexspline."""
+    """Return the inertia [kg·m², output side] of wave generator and (rigid part of the) link across the flexspline."""
     return 1.0 / (1.0 / (p.Jl - laws.flexible_inertia(p)) + 1.0 / (p.N * p.N * p.Jw))
 
 
 @kernel
 def bristle_under_load(z, w, g_before, g, h, p):
-    """Bristle deflection after a time `h` [s] at constant velocity while sliding friction goes from `g_before` to `g`.
+    """Return the bristle deflection after a time `h` [s] at constant velocity while sliding friction changes from
+    `g_before` to `g`.
 
-    Exact for a deflection g/s0 that changes evenly and the rate at the mean of both: at speed the bristle follows the load
-    within a step, and a friction that is constant over it would lose s1 z'.
+    Exact for a deflection g/s0 that changes evenly and the rate at the mean of both. At speed the bristle follows the
+    load within a step; a constant friction would lose s1 z'.
     """
     decay = 2.0 * p.s0 * abs(w) / (g_before + g) * h
     if decay < 1e-12:
@@ -81,12 +82,12 @@ def bristle_under_load(z, w, g_before, g, h, p):
 
 @kernel
 def at_positions(theta, velocity, previous, bristle, dahl, time, h, temperature, p):
-    """State, transmission and sliding friction at the instant of the positions; bristle and Dahl state, a step behind, are
-    brought up.
+    """Return state, transmission and sliding friction at the instant of the positions; bristle and Dahl state are
+    advanced by a step.
 
     Args:
       theta: positions; velocity: half a step before; previous: one and a half steps before; three each.
-      bristle, dahl: at the last instant; time, h: of now, of a step [s]; temperature [°C]; p: parameter record.
+      bristle, dahl: at the last instant; time, h: now, of a step [s]; temperature [°C]; p: parameter record.
 
     Returns:
       `State` (without current), `Transmission`, g(w).
@@ -115,7 +116,7 @@ def at_positions(theta, velocity, previous, bristle, dahl, time, h, temperature,
     return state_of(theta, velocity, up, dahl, 0.0, time, temperature), t, g
 
 
-# Where MuJoCo keeps what the plugin reads, in 8-byte words. Compiled code takes them as constants.
+# Offsets of the plugin's inputs in MuJoCo's structures, in 8-byte words: constants of compiled code.
 _AT = native.offsets()
 _BODIES, _TENDONS, _TIMESTEP, _ATTRIBUTES, _ATTRIBUTE, _STATE_AT = (
     _AT[name] for name in ("nbody", "ntendon", "timestep", "plugin_attr", "plugin_attradr", "plugin_stateadr")
@@ -138,7 +139,8 @@ _free: Any = types.ExternalFunction("flexspline_free", types.void(types.intp))
 
 @kernel
 def _numbers(text, i, out, at, count):
-    """Read numbers, all or none of `count`, of a text from place i into out[at:]; the place behind its end, −1 if malformed."""
+    """Read numbers, all or none of `count`, of a text from index i into out[at:]; return the index after its end, −1
+    if malformed."""
     n = 0
     while True:
         while text[i] == 32:
@@ -187,7 +189,7 @@ def _ints(m, field):
 
 @kernel
 def _next_joint(m, joint):
-    """The joint at the other end of the fixed tendon of two joints that begins at a joint; −1: there is none."""
+    """Return the joint at the other end of the fixed tendon of two joints that starts at a joint; −1 without one."""
     for k in range(word_at(m + 8 * _TENDONS)):
         at = _ints(m, _PATH)[k]
         kind, joints = _ints(m, _PATH_KIND), _ints(m, _PATH_JOINT)
@@ -230,7 +232,6 @@ def _init(m, d, instance):
 
 @kernel
 def _block(d, instance):
-    """Address of an instance's header and record."""
     return word_at(word_at(d + 8 * _DATA) + 8 * instance)
 
 
@@ -282,7 +283,7 @@ def _compute(m, d, instance, capability):
         memory[_NEXT + MEMORY + k] = velocity[k]
     w = velocity[WAVE_GENERATOR]
 
-    # All that the equations of motion say, less what MuJoCo adds itself: gravity, and half of every linear damping, which it
+    # The equations of motion without MuJoCo's own part: gravity, and half of every linear damping, which it
     # takes implicitly. The other half is explicit. Together that is the trapezoidal rule, second order
     # (docs/convergence.md).
     damper = 0.5 * p.df * (w / p.N - velocity[LINK])
@@ -294,13 +295,13 @@ def _compute(m, d, instance, capability):
     on_wave_generator -= more * b.ratio
     on_link += more
 
-    # Half of s1 is implicit, which is the trapezoidal rule while sticking; while sliding, the last change stands for the next.
+    # Half of s1 is implicit, which is the trapezoidal rule while sticking; while sliding, the last change is used for the next.
     sliding = p.s0 * state.bristle / g if w > 0.0 else -p.s0 * state.bristle / g
     change = w - previous[WAVE_GENERATOR]
     on_wave_generator += 0.5 * p.s1 * (w + sliding * change)
 
-    # Implicit in MuJoCo is each body's own damping, not what it owes to the other body's change of velocity: bodies
-    # of different branches have no common entry in its matrices. The last change stands for the next there, too.
+    # Implicit in MuJoCo is each body's own damping, without the coupling to the other body: bodies
+    # of different branches have no common entry in its matrices. The last change is used for the next there, too.
     rotor_change, link_change = velocity[ROTOR] - previous[ROTOR], velocity[LINK] - previous[LINK]
     on_rotor += 0.5 * p.dw * change
     on_wave_generator += 0.5 * p.dw * rotor_change + 0.5 * p.df / p.N * link_change
@@ -336,7 +337,7 @@ _registered: list[Any] = []
 
 
 def register() -> None:
-    """Make the plugin known to MuJoCo: compile its functions and register them; once per process."""
+    """Compile the plugin's functions and register them with MuJoCo; once per process."""
     with _registering:
         if _registered:
             return

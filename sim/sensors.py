@@ -1,7 +1,7 @@
-"""What the sensors make of the joint's state: sample rate, delay, bandwidth, noise, quantisation, imperfections.
+"""Sensors: sample rate, delay, bandwidth, noise, quantisation, imperfections.
 
-Every channel has random streams of its own, derived from the seed and the channel's name: adding a sensor, or changing
-one, leaves the noise of the others as it was, to the bit.
+Every channel has its own random streams, by the seed and the channel's name. A new or changed sensor leaves the noise
+of the others unchanged, to the bit.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..models.joint import AnalogSpec, EncoderSpec, Joint, WrenchSpec
+from ..models.joint import Joint
+from ..models.joint_parts import AnalogSpec, EncoderSpec, WrenchSpec
 from ..models.kernels import kernel
 from ..models.signals import CHANNELS, READINGS, SENSED
 
@@ -25,17 +26,18 @@ SENSOR = np.dtype(
         )
     ]
 )  # fmt: skip
-"""A sensor as one record for compiled code: step of quantisation, delay [s], sample period [s], its low-pass (`low_pass`;
-1 and 0 where there is none), whether it is read once the plant has stepped, ripple over the motor's angle, crosstalk
-(amplitude over the cosine of the link's angle), error within four counts [rad]."""
+"""A sensor as one record for compiled code: step of quantisation, delay [s], sample period [s], its low-pass
+(`low_pass`; 1 and 0 without one), whether it is read after the plant's step, ripple over the motor's angle,
+crosstalk (amplitude over the cosine of the link's angle), error within four counts [rad]."""
 _CYCLE = 4  # counts of an incremental encoder in one line of its disc
 
 
 def sensor_records(joint: Joint, link_delay: float, dt: float) -> np.ndarray:
-    """The joint's sensors as records, shape (channels,), in the order of `signals.SENSED`; `dt`: control period [s].
+    """Return the joint's sensors as records, shape (channels,), in the order of `signals.SENSED`; `dt`: control
+    period [s].
 
-    `link_delay`: by how much later than the motor's the link encoder is read [s]; it is a number of the parameter record, as a
-    cause may change it.
+    `link_delay`: delay of the link encoder against the motor's [s], a number of the parameter record that a cause may
+    change.
     """
     records = np.zeros(len(SENSED), SENSOR)
     for i, name in enumerate(SENSED):
@@ -57,16 +59,18 @@ def sensor_records(joint: Joint, link_delay: float, dt: float) -> np.ndarray:
 
 
 def _pass(x: float) -> tuple[float, float]:
-    """What a first-order low-pass takes of its input now and before; `x`: cut-off frequency [rad/s] times interval [s].
+    """Return the shares of a first-order low-pass of its input now and before; `x`: cut-off frequency [rad/s] times
+    interval [s].
 
-    Exact for an input that is straight between the instants (ramp invariance): y = e^−x y + … .
+    Exact for a piecewise linear input (ramp invariance): y = e^−x y + … .
     """
     share = -math.expm1(-x)
     return 1 - share / x, share / x - 1 + share
 
 
 def noise(joint: Joint, seed: int, samples: int, dt: float) -> np.ndarray:
-    """Noise of every channel in its unit, shape (samples,), records of `signals.READINGS`; `dt`: control period [s]."""
+    """Return the noise of every channel in its unit, shape (samples,), records of `signals.READINGS`; `dt`: control
+    period [s]."""
     found = np.zeros(samples, READINGS)
     for name in SENSED:
         spec = joint.sensors.of(CHANNELS[name])
@@ -88,7 +92,7 @@ def _rms(spec: EncoderSpec | AnalogSpec | WrenchSpec, channel: str) -> float:
 
 
 def flicker(samples: int, rng: np.random.Generator) -> np.ndarray:
-    """Noise of unit variance whose power falls as 1/f, shape (samples,): white noise, shaped in its spectrum."""
+    """Return noise of unit variance with a power of 1/f, shape (samples,): white noise, shaped in its spectrum."""
     spectrum = np.fft.rfft(rng.standard_normal(samples))
     shape = np.arange(len(spectrum), dtype=np.float64)
     shape[0] = np.inf
@@ -98,9 +102,9 @@ def flicker(samples: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def wrench_crosstalk(joint: Joint, seed: int) -> np.ndarray:
-    """What of the wrench's axes shows in the others, shape (6, 6), zero on the diagonal; another sensor for each seed.
+    """Return the crosstalk of the wrench's axes, shape (6, 6), zero on the diagonal; another sensor for each seed.
 
-    A share, even within ± the stated one, of each axis' load relative to its rated one.
+    A share, uniform within ± the stated one, of each axis' load relative to its rated one.
     """
     spec = joint.sensors.wrench
     rated = np.repeat([spec.rated_force, spec.rated_torque], 3)
@@ -110,22 +114,22 @@ def wrench_crosstalk(joint: Joint, seed: int) -> np.ndarray:
 
 
 def time_stamps(time: np.ndarray, jitter: float, seed: int) -> np.ndarray:
-    """Times [s], shape (n,), as a clock writes them that is off by `jitter` [s rms]; they still increase."""
+    """Return times [s], shape (n,), of a clock with a jitter of `jitter` [s rms]; they still increase."""
     return time if jitter == 0.0 else jittered(time, jitter, stream(seed, "jitter"))
 
 
 def jittered(time: np.ndarray, jitter: float, rng: np.random.Generator) -> np.ndarray:
-    """Evenly spaced times [s], shape (n,), each off by `jitter` [s rms], but by less than half a step."""
+    """Return evenly spaced times [s], shape (n,), with an error of `jitter` [s rms] each, less than half a step."""
     step = float(np.median(np.diff(time)))
     return time + np.clip(jitter * rng.standard_normal(len(time)), -0.45 * step, 0.45 * step)
 
 
 def realistic(joint: Joint) -> dict[str, Any]:
-    """Changes to a joint's sensors that make them what sensors are, in proportion to the joint; what it states itself stays.
+    """Return changes of a joint's sensors to realistic ones, in proportion to the joint; stated imperfections stay.
 
-    Encoders with an error of 0.2 counts that returns with every line; a current sensor behind an ADC of 12 bits over ± the
-    current limit, with a ripple of 0.5 % of it (Maxon and drive makers state 0.3 to 1 %); a torque sensor and a wrench with 1 %
-    of crosstalk (data sheets of six-axis sensors: 1 to 2 % of the rated load).
+    Encoders with a cyclic error of 0.2 counts per line; a current sensor behind an ADC of 12 bits over ± the current
+    limit, with a ripple of 0.5 % of it (Maxon and drive makers state 0.3 to 1 %); a torque sensor and a wrench with 1
+    % of crosstalk (datasheets of six-axis sensors: 1 to 2 % of the rated load).
     """
     limit, s = joint.numbers["current_limit"].value, joint.sensors
     found: dict[str, Any] = {"motor_current": {}, "joint_torque": {}, "wrench": {}}
@@ -143,19 +147,19 @@ def realistic(joint: Joint) -> dict[str, Any]:
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """The random stream of that name: independent of all others of the same seed."""
+    """Return the random stream of that name, independent of all others of the same seed."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, zlib.crc32(name.encode())])))
 
 
 @kernel
 def quantise(value, step):
-    """Round to a multiple of `step`; 0 leaves the value as it is."""
+    """Round to a multiple of `step`; 0 does not round."""
     return math.floor(value / step + 0.5) * step if step > 0.0 else value
 
 
 @kernel
 def sample_tick(k, dt, sensor):
-    """Control tick of a sensor's last sample at tick k: k itself, or an earlier one where it is slower than the control."""
+    """Return the control tick of a sensor's last sample at tick k: k, or an earlier one of a slower sensor."""
     if sensor.period > dt * 1.000001:
         return math.floor(math.floor(k * dt / sensor.period + 1e-9) * sensor.period / dt + 1e-9)
     return k
@@ -163,7 +167,7 @@ def sample_tick(k, dt, sensor):
 
 @kernel
 def distort(value, motor_position, link_position, sensor):
-    """What a sensor's imperfections make of a value [its unit] at once: ripple, crosstalk, error within counts."""
+    """Return a value [its unit] with a sensor's ripple, crosstalk and error within counts."""
     if sensor.ripple_amplitude != 0.0:
         value += sensor.ripple_amplitude * math.sin(sensor.ripple_order * motor_position + sensor.ripple_phase)
     if sensor.crosstalk != 0.0:
@@ -175,7 +179,8 @@ def distort(value, motor_position, link_position, sensor):
 
 @kernel
 def low_pass(value, value_before, passed_before, sensor):
-    """What a sensor's first-order low-pass gives: of its input now and a control period before, and its output before."""
+    """Return the output of a sensor's first-order low-pass, from its input now and a control period before, and its
+    output before."""
     if sensor.pass_now == 1.0:
         return value
     return (
@@ -185,7 +190,7 @@ def low_pass(value, value_before, passed_before, sensor):
 
 @kernel
 def sample(history, k, dt, noise, sensor):
-    """What a sensor gives at control tick `k`.
+    """Return a sensor's value at control tick `k`.
 
     Args:
       history: true values at the ticks up to k.
@@ -193,7 +198,7 @@ def sample(history, k, dt, noise, sensor):
 
     Returns:
       The value at the sensor's last sample instant less its delay (before the start: the first value), with noise,
-      quantised. Slower sensors hold their value.
+        quantised. Slower sensors hold their value.
     """
     t = sample_tick(k, dt, sensor)
     back = t - sensor.delay / dt

@@ -1,4 +1,4 @@
-"""How a joint looks: the bodies and axes of its MJCF, of which nothing acts."""
+"""The looks of a joint: bodies and axes of its MJCF, without dynamics."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ JOINTS = ("rotor", "wave_generator", "link")
 
 
 def shape(joint: Joint) -> mujoco.MjModel:
-    """The joint's bodies and axes as its MJCF has them: for looks and places alone, whatever acts in it.
+    """Return the joint's bodies and axes of its MJCF, for looks and places only.
 
     Raises:
       InputError: an MJCF that cannot be read, names files outside its folder, or is not a joint's; one line.

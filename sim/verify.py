@@ -1,4 +1,4 @@
-"""The plant against independent solutions of the joint's equations."""
+"""Comparison of the plant with independent solutions of the joint's equations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..models.errors import InputError
-from ..models.joint import Joint, Mounting
+from ..models.joint import Joint
+from ..models.joint_parts import Mounting
 from . import native, plant
 from .plugin import LINK, MEMORY, transmission_at
 
@@ -97,7 +98,8 @@ def closed_loop(
 ) -> dict[str, np.ndarray]:
     """Run the reference's controller on exact states: `torsion` [rad], `joint_torque` [N·m], `motor_current` [A].
 
-    The current is `8 (N q_d − θm) + 0.08 (N q_d' − θm')` A, clipped, and held over each 1 ms, as is the external torque.
+    The current is `8 (N q_d − θm) + 0.08 (N q_d' − θm')` A, clipped, and held over each 1 ms, as is the external
+    torque.
     """
     record = joint.record(mounting)
     p = record[0]
@@ -136,7 +138,7 @@ def closed_loop(
 
 
 def locked_rotor(joint: Joint, external: np.ndarray, timestep: float) -> tuple[np.ndarray, np.ndarray]:
-    """Load the link slowly with the rotor held and no kinematic error: link angle [rad] and flexspline torque [N·m]."""
+    """Load the link slowly with a locked rotor and no kinematic error: link angle [rad] and flexspline torque [N·m]."""
     record = joint.record(_LOCKED)
     p = record[0]
     p["amplitude"] = 0.0
@@ -155,7 +157,7 @@ def locked_rotor(joint: Joint, external: np.ndarray, timestep: float) -> tuple[n
 
 
 def loop_width(link: np.ndarray, torque: np.ndarray) -> float:
-    """Half the width [rad] of the torsion–torque loop at zero torque: of the branches' straight lines through it."""
+    """Return half the width [rad] of the torsion–torque loop at zero torque, by straight lines through its branches."""
     rising = np.gradient(torque) > 0
     near = np.abs(torque) < _LEAST_WIDTH_TORQUE
     begin = len(torque) // 4  # the virgin curve belongs to no branch

@@ -268,7 +268,7 @@ NAMED = re.compile(r"`(\w+\.(?:py|yaml))`[^`\n]*\n\n$")
 def place(tmp_path_factory, shared):
     """Make a folder with the runs, measurements, diagnoses and files that pages use."""
     import flexspline as fs
-    from flexspline.models.joint import Effect, Estimate
+    from flexspline.models.joint_parts import Effect, Estimate
     from flexspline.models.recording import write_recording
 
     top = tmp_path_factory.mktemp("place")

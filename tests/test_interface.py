@@ -19,7 +19,7 @@ from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.validate import ChannelError
 from flexspline.estimator import registry
 from flexspline.models import causes
-from flexspline.models.joint import Effect, Estimate
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import read_recording, write_recording
 from flexspline.scenarios.scenario import load_scenario
 
@@ -209,5 +209,17 @@ def test_results_show_themselves_in_a_notebook(run):
     alike, open_ = (("payload", "gravity_moment"),), {"backlash": "no reversal"}
     diagnosis = Diagnosis("discrepancy", (), (finding,), {}, alike, open_, {}, (), run.joint, plan=plan)
     text = diagnosis._repr_html_()
+    for one in (run, recording, diagnosis, plan, fs.Validation("joint", {"motor_current": error}, (), {})):
+        assert repr(one).startswith(type(one).__name__) and len(repr(one).splitlines()) == 1 and len(repr(one)) < 400
     assert "a torque that &lt;depends&gt;" in text and "Move &lt;it&gt; (20 s): would show backlash" in text
     assert plan._repr_html_().count("<li>") == 1
+
+
+def test_a_wrong_name_of_a_signal_is_answered_with_the_nearest(run):
+    for wrong, call, right in (("torque", run.truth, "joint_torque"), ("motor_curent", run.reading, "motor_current")):
+        with pytest.raises(fs.InputError, match=rf"{wrong}.*expected one of .*{right}"):
+            call(wrong)
+    with pytest.raises(fs.InputError, match=r"filter 'lowpas'.*did you mean 'lowpass'"):
+        run.estimate("lowpas")
+    with pytest.raises(AttributeError, match="did you mean 'estimate'"):
+        fs.estimat  # noqa: B018

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -43,6 +44,7 @@ def test_workflows_run_the_steps_of_ci():
 def installed(tmp_path_factory) -> Path:
     """Return a folder with an unpacked wheel."""
     folder = tmp_path_factory.mktemp("wheel")
+    shutil.rmtree(ROOT / "build" / "lib", ignore_errors=True)  # files of an earlier build would be packed again
     command = [sys.executable, "-m", "pip", "wheel", str(ROOT), "--no-deps", "--wheel-dir", str(folder)]
     if subprocess.run(command, capture_output=True, cwd=folder).returncode != 0:
         pytest.skip("pip cannot build here: no network, or no setuptools")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 from rich.text import Text
@@ -16,14 +14,12 @@ from .limit_figures import contender_color
 from .style import SENSOR
 from .tables import markdown_table, narrow_table
 
-if TYPE_CHECKING:
-    from ..scenarios.evaluation.contact import OperatingPoint
 HEADS = ("estimator", "threshold [N·m]", "false alarms / h", "smallest push [N·m]", "found of 2 N·m [%]", "delay [ms]")
 """Columns of `contact_rows`."""
 
 
 def measure_text(row: Mapping[str, Any], measure: str, digits: int, scale: float = 1.0) -> str:
-    """Return a measure of a row of `as_data` with its interval; `none` if no push is found."""
+    """Return a measure of a detector with its interval; `none` if no push is found."""
     value, low, high = (row[f"{measure}{end}"] for end in ("", "_low", "_high"))
     if value is None:
         return "none" if measure == "smallest_push" and row["threshold"] is not None else "–"
@@ -34,7 +30,7 @@ def measure_text(row: Mapping[str, Any], measure: str, digits: int, scale: float
 
 
 def contact_rows(detectors: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
-    """Yield a row of text per row of `as_data`, `HEADS`."""
+    """Yield a row of text per detector, `HEADS`."""
     for row in detectors:
         threshold = "–" if row["threshold"] is None else f"{row['threshold']:.3f}"
         yield (
@@ -80,33 +76,6 @@ def contact_table(detectors: Sequence[Mapping[str, Any]], title: str) -> Table:
     for row in contact_rows(detectors):
         table.add_row(*(Text(cell.replace(" [", "\n[")) for cell in row))
     return table
-
-
-def as_data(points: Mapping[str, OperatingPoint], tolerance: float) -> list[dict[str, Any]]:
-    """Return a row per estimator, the smallest push first: threshold [N·m], measures with the ends of their intervals, and the
-    reason for missing ones; None for undefined numbers."""
-    names = {
-        "alarms": "false_alarms_per_hour",
-        "smallest": "smallest_push",
-        "share": "found_of_large",
-        "delay": "delay",
-    }
-    rows = []
-    for name, point in sorted(points.items(), key=lambda one: np.nan_to_num(one[1].smallest.mean, nan=np.inf)):
-        row: dict[str, Any] = {"tolerance": tolerance, "estimator": name, "threshold": _finite(point.threshold)}
-        for field, label in names.items():
-            value = getattr(point, field)
-            row |= {
-                label: _finite(value.mean),
-                f"{label}_low": _finite(value.low),
-                f"{label}_high": _finite(value.high),
-            }
-        rows.append(row | {"reason": point.reason})
-    return rows
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 @styled

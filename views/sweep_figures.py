@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 
 from .figures.sheet import RIGHT, WIDTH, blank, place, save, styled
 from .style import filter_colors
-from .sweep_tables import metric_column
+from .sweep_tables import metric_column, panels_of
 
 if TYPE_CHECKING:
-    from ..scenarios.studies.statistics import Aggregate, Interval
+    from ..scenarios.studies.statistics import Aggregate
     from ..scenarios.studies.study import Study, Value
 
 _COLUMNS = 4
@@ -30,7 +30,6 @@ _LEGEND = 8  # filters in a line of the legend
 _LOGARITHMIC = 15.0  # ratio of largest and smallest mean above which an axis is logarithmic
 _LINEAR = 1e-3  # of the largest difference: the axis is linear below
 _CHARACTERS = 80  # of horizontal ticks in a row of panels
-_SPREAD = 0.32  # of the distance between two points: offset of filters
 
 
 def save_sweep_figures(aggregates: Sequence[Aggregate], study: Study, folder: Path) -> list[Path]:
@@ -58,20 +57,11 @@ def sweep_figure(
       differences: to the reference, paired, instead of means.
     """
     column = metric_column(metric)
-    across, panels = layout(aggregates, study)
+    across, places, panels = panels_of(aggregates, study, metric, differences)
     names = [n for n in study.names if not (differences and n == study.compared_to)]
-
-    def found(s: Aggregate) -> Interval | None:
-        one = (s.differences if differences else s.values).get(metric)
-        return one if one is not None and math.isfinite(one.mean) else None
-
-    shown = [one for s in aggregates if (one := found(s)) is not None]
-    if not shown or not names:
+    if not names or not any(panel.lines for panel in panels):
         return None
     titles = {axis.name: axis.title for axis in study.axes}
-    places: list[Value | None] = [
-        v for v in dict.fromkeys(s.columns.get(across) for s in aggregates) if v is not None
-    ] or [None]
     rows = math.ceil(len(panels) / _COLUMNS)
     columns = math.ceil(len(panels) / rows)
     what = f"difference to {study.compared_to}, paired over seeds" if differences else column.meaning
@@ -83,7 +73,7 @@ def sweep_figure(
     ticks = [_tick(v) for v in places]
     slanted = sum(map(len, ticks)) > _CHARACTERS / columns
     lines = -(-len(names) // _LEGEND)
-    above = 0.55 + 0.18 * lines + 0.25 * max(map(len, panels))
+    above = 0.55 + 0.18 * lines + 0.25 * max(len(panel.at) for panel in panels)
     foot = 0.6 + (0.075 * max(map(len, ticks)) if slanted else 0.0)
     figure = blank(f"{column.title}  ·  {aggregates[0].scenario}", caption, above + _HEIGHT * rows - _GAP + foot)
     width = (WIDTH - _LEFT - RIGHT - _BETWEEN * (columns - 1)) / columns
@@ -96,17 +86,7 @@ def sweep_figure(
         grid[-1].tick_params(labelleft=across_ == 0, labelbottom=k + columns >= len(panels))
     colors = filter_colors(study.names)
     for axes, panel in zip(grid, panels, strict=True):
-        for i, name in enumerate(names):
-            line = [
-                (k, one)
-                for k, v in enumerate(places)
-                if (s := place_of(aggregates, name, across, v, panel)) is not None and (one := found(s)) is not None
-            ]
-            if not line:
-                continue
-            x = np.array([k for k, _ in line]) + _SPREAD * (i - 0.5 * (len(names) - 1)) / max(len(names), 2)
-            mean = column.scale * np.array([one.mean for _, one in line])
-            half = np.nan_to_num(column.scale * np.array([one.half for _, one in line]))
+        for name, (x, mean, half) in panel.lines.items():
             axes.errorbar(
                 x,
                 mean,
@@ -122,10 +102,11 @@ def sweep_figure(
         if differences:
             axes.axhline(0, color=colors[study.compared_to], lw=1.0)
         axes.set_title(
-            "\n".join(v if isinstance(v, str) else f"{titles.get(k, k)}: {v:g}" for k, v in panel.items()), fontsize=8.5
+            "\n".join(v if isinstance(v, str) else f"{titles.get(k, k)}: {v:g}" for k, v in panel.at.items()),
+            fontsize=8.5,
         )
         axes.set_xticks(range(len(places)), ticks, rotation=35 if slanted else 0, ha="right" if slanted else "center")
-    means = column.scale * np.abs([one.mean for one in shown])
+    means = np.abs(np.concatenate([mean for panel in panels for _, mean, _ in panel.lines.values()]))
     if differences and means.max() > _LOGARITHMIC * (usual := np.median(means)) > 0:
         grid[0].set_yscale("symlog", linthresh=max(usual, _LINEAR * means.max()))
     elif not differences and means.min() > 0 and means.max() / means.min() > _LOGARITHMIC:
@@ -144,37 +125,6 @@ def sweep_figure(
         handles, labels, loc="upper left", bbox_to_anchor=corner, borderaxespad=0, ncols=min(len(names), _LEGEND)
     )
     return figure
-
-
-def layout(aggregates: Sequence[Aggregate], study: Study) -> tuple[str, list[dict[str, Value]]]:
-    """Return the horizontal axis, and the values of the others, a panel each.
-
-    Sizes of causes are horizontal, causes have panels. The first axis of filters is horizontal. The point without a cause is the
-    first of every cause's line.
-    """
-    axes = list(aggregates[0].columns)
-    if not axes:
-        return "", [{}]
-    of_filters = next((axis.name for axis in study.filter_axes), axes[0])
-    across = axes[axes.index("cause") + 1] if "cause" in axes else of_filters
-    others = [a for a in axes if a != across]
-    values = {a: [v for v in dict.fromkeys(s.columns[a] for s in aggregates) if v is not None] for a in others}
-    if len(values.get("cause", [])) > 1:
-        values["cause"] = [v for v in values["cause"] if v != "none"]
-    return across, [dict(zip(others, at, strict=True)) for at in itertools.product(*values.values())]
-
-
-def place_of(
-    aggregates: Sequence[Aggregate], name: str, across: str, value: Value | None, panel: dict[str, Value]
-) -> Aggregate | None:
-    """Return a filter's summary at a point of a panel; a filter that an axis does not vary is the same at all its points."""
-    for s in aggregates:
-        if s.filter != name or s.columns.get(across) not in (value, None):
-            continue
-        none = s.columns.get("cause") == "none"
-        if all(s.columns[k] in (v, None) or (k == "cause" and none) for k, v in panel.items()):
-            return s
-    return None
 
 
 def _tick(value: Value | None) -> str:

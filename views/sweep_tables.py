@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
@@ -16,10 +19,11 @@ from .tables import COLUMNS, Column, markdown_table, narrow_table
 
 if TYPE_CHECKING:
     from ..scenarios.studies.statistics import Aggregate, Interval
-    from ..scenarios.studies.study import Study
+    from ..scenarios.studies.study import Study, Value
 
 BETTER, WORSE = "▾", "▴"
 """Marks of a mean below or above the reference's: the interval of the paired difference excludes zero."""
+_SPREAD = 0.3  # of the distance between two points: offset of filters
 _UNLIMITED = 10_000  # characters: width without limit
 _BEYOND_RUNS = (
     Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state"),
@@ -186,3 +190,78 @@ def _style(summary: Aggregate | None, metric: str) -> str:
 def value_text(value: float | str | None) -> str:
     """Return a value of an axis as text."""
     return "–" if value is None else value if isinstance(value, str) else f"{value:g}"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A point of the axes that are not horizontal, with a line for every filter.
+
+    Attributes:
+      at: axis → value.
+      lines: filter → horizontal positions, means, half intervals, shape (3, k), in the unit of the metric's column.
+    """
+
+    at: dict[str, Value]
+    lines: dict[str, np.ndarray]
+
+
+def panels_of(
+    aggregates: Sequence[Aggregate], study: Study, metric: str, differences: bool = False
+) -> tuple[str, list[Value | None], list[Panel]]:
+    """Return the horizontal axis, its values, and the panels of a metric of one scenario.
+
+    Args:
+      aggregates: of one scenario.
+      differences: from the reference, instead of means.
+    """
+    across, points = layout(aggregates, study)
+    values = [v for v in dict.fromkeys(s.columns.get(across) for s in aggregates) if v is not None]
+    places: list[Value | None] = [*values] or [None]
+    scale = metric_column(metric).scale
+    names = [name for name in study.names if not (differences and name == study.compared_to)]
+    panels = []
+    for at in points:
+        lines = {}
+        for i, name in enumerate(names):
+            offset = _SPREAD * (i - 0.5 * (len(names) - 1)) / max(len(names), 2)
+            found = []
+            for k, value in enumerate(places):
+                s = place_of(aggregates, name, across, value, at)
+                one = (s.differences if differences else s.values).get(metric) if s is not None else None
+                if one is not None and math.isfinite(one.mean):
+                    found.append((k + offset, scale * one.mean, scale * np.nan_to_num(one.half)))
+            if found:
+                lines[name] = np.array(found).T
+        panels.append(Panel(at, lines))
+    return across, places, panels
+
+
+def layout(aggregates: Sequence[Aggregate], study: Study) -> tuple[str, list[dict[str, Value]]]:
+    """Return the horizontal axis, and the values of the others, a panel each.
+
+    Sizes of causes are horizontal, causes have panels. The first axis of filters is horizontal. The point without a cause is the
+    first of every cause's line.
+    """
+    axes = list(aggregates[0].columns)
+    if not axes:
+        return "", [{}]
+    of_filters = next((axis.name for axis in study.filter_axes), axes[0])
+    across = axes[axes.index("cause") + 1] if "cause" in axes else of_filters
+    others = [a for a in axes if a != across]
+    values = {a: [v for v in dict.fromkeys(s.columns[a] for s in aggregates) if v is not None] for a in others}
+    if len(values.get("cause", [])) > 1:
+        values["cause"] = [v for v in values["cause"] if v != "none"]
+    return across, [dict(zip(others, at, strict=True)) for at in itertools.product(*values.values())]
+
+
+def place_of(
+    aggregates: Sequence[Aggregate], name: str, across: str, value: Value | None, panel: dict[str, Value]
+) -> Aggregate | None:
+    """Return a filter's summary at a point of a panel; a filter that an axis does not vary is the same at all its points."""
+    for s in aggregates:
+        if s.filter != name or s.columns.get(across) not in (value, None):
+            continue
+        none = s.columns.get("cause") == "none"
+        if all(s.columns[k] in (v, None) or (k == "cause" and none) for k, v in panel.items()):
+            return s
+    return None

@@ -51,7 +51,7 @@ def line(path: Path, problem: Fault) -> str:
     """Return a problem as a line, with the meaning of its symbol."""
     from ...models.errors import one_line
     from ...models.files import place
-    from ...models.joint import SYMBOLS
+    from ...models.joint_parts import SYMBOLS
     from ...views.glossary import meaning
 
     text = f"{place(path, problem.field)}: {problem.severity}: {problem.field}: {problem.message}"

@@ -138,7 +138,7 @@ def _asking(key: str) -> Callable[[str], Any]:
 
 def _pairs(option: str, given: Sequence[str] | None) -> Iterator[tuple[str, str]]:
     from ...models.errors import nearest
-    from ...models.joint import SYMBOLS
+    from ...models.joint_parts import SYMBOLS
 
     for one in given or ():
         symbol, sign, text = one.partition("=")

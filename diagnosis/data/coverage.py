@@ -262,6 +262,8 @@ def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
     """
     columns = {column for r in measurement.recordings for column in r.columns}
     cause = causes.get(name)
+    if cause.requires.arm and all(r.load is None for r in measurement.recordings):
+        return False
     return shows_in(cause, columns, link_measured) and next(_too_slow(cause, _rate(measurement)), None) is None
 
 

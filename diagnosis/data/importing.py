@@ -20,7 +20,8 @@ from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 from ...models.arm import ArmSpec, joint_of
 from ...models.errors import InputError, InputWarning, nearest, unknown_key
 from ...models.files import Strict, load
-from ...models.joint import Mounting, load_joint
+from ...models.joint import load_joint
+from ...models.joint_parts import Mounting
 from ...models.parameters import GRAVITY
 from ...models.recording import External, Recording, check_channels, in_arm
 from ...models.signals import CHANNELS

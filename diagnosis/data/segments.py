@@ -26,7 +26,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from ...estimator.conditioning import Conditioned, between, condition
 from ...estimator.motion import CUTOFF, SHARE, Smooth, passband, smooth
 from ...models import dynamics, laws
-from ...models.joint import EncoderSpec, Joint, Mounting
+from ...models.joint import Joint
+from ...models.joint_parts import EncoderSpec, Mounting
 from ...models.kernels import kernel
 from ...models.recording import Recording
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...models.joint import ValidRange
+from ...models.joint_parts import ValidRange
 from ..data.segments import BALANCES
 from . import encoder_zero
 from .noise import learn, whiten

@@ -15,7 +15,8 @@ import numpy as np
 
 from ...models.calibration import Calibration
 from ...models.errors import InputError
-from ...models.joint import AnalogSpec, Joint, Mounting
+from ...models.joint import Joint
+from ...models.joint_parts import AnalogSpec, Mounting
 from ...models.parameters import SIZE as PARAMETERS_SIZE
 from ...models.parameters import as_floats
 from ..data.segments import BALANCES, CURRENT, ENOUGH, LINK, TORQUE, Segment, mirrored

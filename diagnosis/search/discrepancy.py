@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline
 
 from ...models.causes import put_discrepancy
 from ...models.dual import LANES
-from ...models.joint import Discrepancy
+from ...models.joint_parts import Discrepancy
 from ...models.parameters import PLACES, VARIABLES
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from ..fit.residual import Model, Problem

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...models.joint import Joint, Ripple, Vibration
+from ...models.joint import Joint
+from ...models.joint_parts import Ripple, Vibration
 from ...models.parameters import N_ORDERS
 from .outside import sign
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...models.joint import Joint, Mounting
+from ...models.joint import Joint
+from ...models.joint_parts import Mounting
 from ...models.recording import Recording
 from ...scenarios.scenario import Disturbance, Scenario, Waypoint
 from ...sim import plant, sensors

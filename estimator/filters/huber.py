@@ -28,7 +28,7 @@ _TOLERANCE, _MOST = 1e-9, 50
 @kernel
 def correct(f, e, V, k, tolerance, most):
     """Update with the innovation `e` [N·m] of a measurement of variance V, in place; returns its variance, last weights."""
-    # A is lower triangular and the measurement sees the first state alone: the regression is one-dimensional in u0, the
+    # A is lower triangular and the measurement depends on the first state only: the regression is one-dimensional in u0, the
     # whitened first state; u1, the second, follows the prediction and keeps its weight 1.
     a00 = math.sqrt(f.P00)
     a10 = f.P01 / a00

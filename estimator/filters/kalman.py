@@ -108,7 +108,6 @@ class TorqueFilter(CausalEstimator):
         return np.array([((self.acceleration * scale) ** 2, V, (self.rate * scale) ** 2, *own)], SETTINGS)
 
     def _own(self, V: float) -> tuple[float, float]:
-        """Return the filter's own two settings, given V."""
         return 0.0, 0.0
 
 

@@ -12,18 +12,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...models import streams
+from ...models.chunks import parts
 from ...models.kernels import kernel
 from ...models.signals import Signals
 from ..dynamics_filter import FILTER, OUT, filter_step, write_out
 from ..errors import FilterDiverged
-from ..estimator import Estimator, KnownJoint, Posterior, fields_of, part_samples, sample_interval
+from ..estimator import Estimator, KnownJoint, Posterior, fields_of, interval_of, part_samples
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
 from ..motion import BLOCK
 from ..smoothed import in_time
 from ..trust import Watch
 from ..tuning_parameters import TuningParameter
-from .dynamics_ekf import DynamicsEKF
+from .dynamics_kalman import DynamicsEKF
 
 
 @kernel
@@ -100,84 +100,55 @@ class RTSSmoother(Estimator):
         return self._smoothed(signals, joint, ("torque", "variance", "external_torque"))
 
     def _smoothed(self, signals: Signals, joint: KnownJoint, names: tuple[str, ...]) -> Posterior:
-        """Return some of the filter's outputs, smoothed."""
         signals, joint = in_time(signals, joint)
         for name in self.needs:
             signals[name]
         filtered = DynamicsEKF(self.name, self.process)
-        settings = filtered.settings(joint, sample_interval(signals))
-        n, parts = len(signals.time), list(streams.parts(len(signals.time), BLOCK, 1))
-        memory, known = np.zeros(1, FILTER), np.zeros(len(parts), FILTER)
-        kept = _Kept(min(n, BLOCK) + 1, int(settings[0]["noise"]["count"]))
+        settings = filtered.settings(joint, interval_of(signals.time))
+        n, blocks = len(signals.time), list(parts(len(signals.time), BLOCK))
+        memory, known = np.zeros(1, FILTER), np.zeros(len(blocks), FILTER)
+        # The samples of a block, and the first one after it.
+        size, m = min(n, BLOCK) + 1, int(settings[0]["noise"]["count"])
+        out, predicted, states = np.zeros(size, OUT), np.zeros((size, SIZE)), np.zeros((size, SIZE))
+        F, covariance, P = (np.zeros((size, m, m)) for _ in range(3))
+        rows, outputs = out.view(np.float64).reshape(size, -1), fields_of(OUT)
+        first = outputs.index(STATES[0])
 
         def run(part: slice) -> np.ndarray:
             samples = part_samples(signals, joint, part, False)
-            done = kept.forward(samples, settings, joint.record, memory)
+            done = forward(samples, settings, joint.record, memory, out[: len(samples)], F, predicted, covariance, P)
             if done < len(samples):
-                at = part.start + done
+                at = part.start + int(done)
                 why = "the estimate is no longer a finite number"
                 raise FilterDiverged(self.name, at, float(signals.time[at]), why)
             return samples
 
-        watch = Watch(joint.rated_torque, fields_of(OUT))
-        for i, part in enumerate(parts):
+        watch = Watch(joint.rated_torque, outputs)
+        for i, part in enumerate(blocks):
             known[i] = memory[0]
             samples = run(part)
-            out = kept.outputs(len(samples))
-            watch.add(samples["time"], out.view(np.float64).reshape(len(out), -1))
+            watch.add(samples["time"], rows[: len(samples)])
         column = {name: np.empty(n) for name in names}
-        for i, part in reversed(list(enumerate(parts))):
-            if part.stop < n:
-                kept.first_of_the_next(part.stop - part.start)
+        for i, part in reversed(list(enumerate(blocks))):
+            k, later = part.stop - part.start, part.stop < n
+            if later:
+                for kept in (states, predicted, F, covariance, P):
+                    kept[k] = kept[0]
                 memory[0] = known[i]
                 samples = run(part)
+            states[:k] = rows[:k, first:]
+            end, torque, variance = k + later, np.empty(k), np.empty(k)
             try:
-                out = kept.backward(samples, joint.record, settings, part.stop < n)
-            except np.linalg.LinAlgError as error:  # a covariance that is finite and whose inverse is not
+                backward(
+                    samples["time"], states[:end], joint.record, settings, F[:end], predicted[:end], covariance[:end],
+                    P[:end], torque, variance,
+                )  # fmt: skip
+            except np.linalg.LinAlgError as error:  # a finite covariance without a finite inverse
                 raise FilterDiverged(self.name, n - 1, float(signals.time[-1]), f"its smoother: {error}") from error
+            rows[:k, 0], rows[:k, 1], rows[:k, first:] = torque, variance, states[:k]
             for name, values in column.items():
-                values[part] = out[:, fields_of(OUT).index(name)]
+                values[part] = rows[:k, outputs.index(name)]
         return replace(filtered.posterior(signals.time, column), untrusted=watch.reason)
-
-
-class _Kept:
-    """Data of the backward pass for the samples of a block, and for the first one after it."""
-
-    def __init__(self, size: int, m: int):
-        """Allocate for `size` samples of m active states."""
-        self._out, self._predicted = np.zeros(size, OUT), np.zeros((size, SIZE))
-        self._states = np.zeros((size, SIZE))
-        self._F, self._covariance, self._P = (np.zeros((size, m, m)) for _ in range(3))
-
-    def forward(self, samples: np.ndarray, settings: np.ndarray, record: np.ndarray, memory: np.ndarray) -> int:
-        """Filter a block; overwrite the previous one."""
-        n = len(samples)
-        return int(forward(
-            samples, settings, record, memory, self._out[:n], self._F, self._predicted, self._covariance, self._P
-        ))  # fmt: skip
-
-    def outputs(self, n: int) -> np.ndarray:
-        """Return the filter's outputs over a block of n samples, shape (n, outputs)."""
-        return self._out[:n]
-
-    def first_of_the_next(self, n: int) -> None:
-        """Use the first sample, which is smoothed, as the one after a block of n samples."""
-        for kept in (self._states, self._predicted, self._F, self._covariance, self._P):
-            kept[n] = kept[0]
-
-    def backward(self, samples: np.ndarray, record: np.ndarray, settings: np.ndarray, goes_on: bool) -> np.ndarray:
-        """Smooth a block; `goes_on`: whether there is one after it. Return its outputs, shape (n, outputs)."""
-        n = len(samples)
-        end, first = n + goes_on, fields_of(OUT).index(STATES[0])
-        out, states = self._out[:n].view(np.float64).reshape(n, -1), self._states[:end]
-        states[:n] = out[:, first:]
-        torque, variance = np.empty(n), np.empty(n)
-        backward(
-            samples["time"], states, record, settings, self._F[:end], self._predicted[:end], self._covariance[:end],
-            self._P[:end], torque, variance,
-        )  # fmt: skip
-        out[:, 0], out[:, 1], out[:, first:] = torque, variance, states[:n]
-        return out
 
 
 ESTIMATORS = (RTSSmoother(),)

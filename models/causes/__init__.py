@@ -1,4 +1,4 @@
-"""The library of causes: one file each. A new file with a subclass of `Cause` is a new cause; plugins add others."""
+"""The library of causes, one file each: a new file with a subclass of `Cause` is a new cause. Plugins add others."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from .. import plugins
 from ..plugins import Offer, Origin
 from .base import COMPONENTS, Cause, CauseParameter, Requirements, put_discrepancy, spline_through
-from .checks import checked
+from .checks import check
 
 if TYPE_CHECKING:
     from ..joint import Joint
@@ -29,32 +29,32 @@ def _own() -> dict[str, Cause]:
 
 
 def offered() -> dict[str, Offer]:
-    """What plugins offer, by name (`models.plugins`)."""
+    """Return the offers of plugins, by name (`models.plugins`)."""
     return plugins.offers("causes", _own())
 
 
 def names() -> list[str]:
-    """Names of all known causes, by component.
+    """Return the names of all known causes, by component.
 
     Raises:
-      InputError: a plugin's that cannot be loaded or is none.
+      InputError: one of a plugin that cannot be loaded or is not a cause.
     """
     every = [*_own(), *offered()]
     return sorted(every, key=lambda name: (COMPONENTS.index(get(name).component), name))
 
 
 def of(joint: Joint) -> list[str]:
-    """Names of the causes that a joint description leaves room for."""
+    """Return the names of the causes that are possible for a joint description."""
     return [name for name in names() if get(name).concerns(joint)]
 
 
 def get(name: str) -> Cause:
-    """The cause of that name; `KeyError` when there is none."""
-    return _own()[name] if name in _own() else checked(offered()[name])
+    """Return the cause of that name; `KeyError` if there is none."""
+    return _own()[name] if name in _own() else plugins.made(offered()[name], Cause, check)
 
 
 def origin(name: str) -> Origin:
-    """Where the cause of that name comes from; `KeyError` when there is none."""
+    """Return the origin of the cause of that name; `KeyError` if there is none."""
     return plugins.OWN if name in _own() else offered()[name].origin
 
 

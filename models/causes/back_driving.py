@@ -29,7 +29,7 @@ class BackDriving(Cause):
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         driven = values["back_driven"]
-        # The record holds μ and the ratio μ_b/μ; a μ of zero must leave μ_b standing.
+        # The record holds μ and the ratio μ_b/μ; a μ of zero must keep μ_b.
         p["friction_load"] = max(values["coefficient"], 1e-9 if driven > 0.0 else 0.0)
         if p["friction_load"] > 0.0:
             p["back_driven_friction"] = driven / p["friction_load"]

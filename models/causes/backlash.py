@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class Backlash(Cause):
-    """The flexspline's spring has a dead zone."""
-
     name = "backlash"
     component = "transmission"
     description = "the flexspline's spring has a dead zone"

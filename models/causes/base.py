@@ -1,4 +1,4 @@
-"""What a cause is: one way in which a real joint differs from its description."""
+"""The interface of causes: differences of a real joint from its description."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ COMPONENTS = ("motor", "transmission", "link", "sensor")
 
 @dataclass(frozen=True)
 class CauseParameter:
-    """A parameter of a cause, of the *extended* model.
+    """A parameter of a cause, in the *extended* model.
 
     Attributes:
-      name: as in recordings' diagnosis output.
+      name: as in a diagnosis.
       unit: SI unit, `1` for a pure number.
-      bounds: smallest and largest value that makes sense.
-      ordinary: intervals of ordinary size, from which hidden effects are drawn and priors are made; in units of the
-        nominal value where `relative` is set (0.92 is 8 % less).
-      relative: field of the parameter record that `ordinary` and `neutral` multiply.
-      neutral: the value at which the cause does nothing (times the relative field).
-      magnitude: whether it grows with the size of the effect; the others say where or how.
-      integer: whether only whole numbers make sense.
+      bounds: smallest and largest possible value.
+      ordinary: intervals of ordinary size, for draws of hidden effects and for priors; with `relative`, in units of
+        the nominal value (0.92 is 8 % less).
+      relative: field of the parameter record that multiplies `ordinary` and `neutral`.
+      neutral: value without effect (times the relative field).
+      magnitude: whether it grows with the size of the effect; other parameters are places or kinds.
+      integer: whether only whole numbers are possible.
       period: of an angle [rad], 0 for others.
-      searched: smallest and largest whole number that diagnosis tries, where that is more than what is ordinary.
-      starts: values from which diagnosis searches, where a few over the ordinary interval would miss what is there.
+      searched: smallest and largest whole number that a diagnosis tries, if more than the ordinary ones.
+      starts: values from which a diagnosis searches, if a few over the ordinary interval are not enough.
     """
 
     name: str
@@ -58,21 +58,21 @@ PHASE = CauseParameter("phase", "rad", (-TURN, TURN), ((0.0, TURN),), period=TUR
 
 @dataclass(frozen=True)
 class Requirements:
-    """What there must be in a measurement for a cause of ordinary size to show at all; by default nothing.
+    """Conditions of a measurement for a cause of ordinary size to show; by default none.
 
     Attributes:
       sliding: time in which the mesh slides, over all recordings [s].
       reversal: whether the motion must change its direction.
-      motor_turn: way of the rotor [turns]; link_travel: range of the link's angle [rad].
+      motor_turn: travel of the rotor [turns]; link_travel: range of the link's angle [rad].
       link_beyond: angle that the link must pass [rad].
       load_span: range of the joint torque, as a share of the rated torque.
       speed: of the motor, in Stribeck velocities vs.
       duration: of one recording [s].
       temperature_span: range of the temperature [K].
-      known_push: whether there must be a recording without unmeasured pushes on the link.
-      gravity: whether such a one must have a gravity moment.
+      known_push: whether a recording without unmeasured pushes on the link is needed.
+      gravity: whether it must have a gravity moment.
       arm: whether other joints of an arm must move.
-      weighed: whether there must be a current, or a load that is not of an arm's mass model.
+      weighed: whether a current is needed, or a load that is not of an arm's mass model.
     """
 
     sliding: float = 0.0
@@ -91,8 +91,8 @@ class Requirements:
 
 
 def put_order(p: np.void, field: str, values: dict[str, float]) -> None:
-    """Add an order, amplitude and phase to `{field}_order`, `_amplitude`, `_phase`: as a vector to the same order where
-    it is there, else in the first free place.
+    """Add an order, amplitude and phase to `{field}_order`, `_amplitude`, `_phase`: as a vector to the same order,
+    else in the first free place.
 
     Raises:
       InputError: no place is free.
@@ -116,13 +116,13 @@ def put_order(p: np.void, field: str, values: dict[str, float]) -> None:
 def put_discrepancy(
     p: np.void, place: str, variable: str, low: float, high: float, coefficients: Sequence[float] | np.ndarray
 ) -> None:
-    """Put a cubic B-spline of a variable into the first free place of a record, in place: what acts beyond the laws.
+    """Put a cubic B-spline of a variable into the first free place of a record, in place: a model discrepancy.
 
     Args:
-      place: where it acts (`parameters.PLACES`): torque on rotor or mesh [N·m, motor side], flexspline or link [N·m], or what is
-        added to a reading of joint torque [N·m], link position [rad] or motor current [A].
-      variable: on what it depends (`parameters.VARIABLES`), SI.
-      low, high: ends of the uniform grid, in the variable's unit; beyond them it is constant.
+      place: where it acts (`parameters.PLACES`): torque on rotor or mesh [N·m, motor side], flexspline or link [N·m],
+        or the reading to which it is added: joint torque [N·m], link position [rad] or motor current [A].
+      variable: `parameters.VARIABLES`, SI.
+      low, high: ends of the uniform grid, in the variable's unit; it is constant outside.
       coefficients: 4 to 32 (`spline_through`), in the place's unit.
 
     Raises:
@@ -140,7 +140,7 @@ def put_discrepancy(
 
 
 def spline_through(values: np.ndarray) -> np.ndarray:
-    """Coefficients of the natural cubic spline through values at even points from one end to the other, for `put_discrepancy`.
+    """Return the coefficients of the natural cubic spline through values at even points, for `put_discrepancy`.
 
     At the points (c_i + 4 c_{i+1} + c_{i+2}) / 6 = value, and at both ends the second derivative is zero.
 
@@ -157,7 +157,7 @@ def spline_through(values: np.ndarray) -> np.ndarray:
 
 @cache
 def _through(count: int) -> np.ndarray:
-    """What makes coefficients of values, shape (count + 2, count)."""
+    """Return the matrix from values to coefficients, shape (count + 2, count)."""
     A = np.zeros((count + 2, count + 2))
     for i in range(count):
         A[i + 1, i : i + 3] = np.array([1.0, 4.0, 1.0]) / 6.0
@@ -166,10 +166,10 @@ def _through(count: int) -> np.ndarray:
 
 
 class Cause(ABC):
-    """A cause: what it does to the parameter record, where it sits, how large it ordinarily is, what it takes to be seen.
+    """A cause: its effect on the parameter record, its place, ordinary size and conditions.
 
-    What it leaves in the residuals is not written down: it follows from the laws, evaluated with and without it.
-    A simple cause is data alone (`sets`); others say themselves what they do (`apply`, and `present` with it).
+    Its effect on residuals follows from the laws, evaluated with and without it. A simple cause is data alone
+    (`sets`); others define their effect (`apply`, with `present`).
     """
 
     name: ClassVar[str]
@@ -177,64 +177,67 @@ class Cause(ABC):
     description: ClassVar[str]
     parameters: ClassVar[tuple[CauseParameter, ...]]
     sets: ClassVar[Mapping[str, str]] = {}
-    """Parameters that are fields of the parameter record: the cause replaces their values."""
+    """Parameters that replace fields of the parameter record."""
     scales: ClassVar[tuple[str, ...]] = ()
     """Fields of the parameter record that its one parameter multiplies."""
     adds: ClassVar[bool] = False
-    """Whether a second one adds to the first (another order, a further factor), instead of replacing it."""
+    """Whether a second one adds to the first (another order, a further factor) instead of replacing it."""
     multiple: ClassVar[float] = float("inf")
-    """Factor by which no description has its number wrong: beyond it another joint, load or unit is likelier."""
+    """Largest factor by which a description may have its number wrong: beyond it another joint, load or unit is
+    likelier."""
     inexact: ClassVar[float] = 0.0
-    """Part of its magnitudes' values that is not known (standard deviation) where a real joint's law is another than this."""
+    """Relative standard deviation of its magnitudes, as a real joint's law is another."""
     imperfection: ClassVar[bool] = False
     """Whether every real joint has a little of it."""
     sensor: ClassVar[str | None] = None
-    """The channel whose reading it changes; none where it acts on the joint itself."""
+    """Channel whose reading it changes; None for effects on the joint itself."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Columns of a recording without which the cause cannot show."""
+    """Columns of a recording that it needs to show."""
     requires: ClassVar[Requirements] = Requirements()
-    """Motion and load without which it cannot show at ordinary size."""
+    """Motion and load that it needs to show at ordinary size."""
     torsion: ClassVar[bool] = False
-    """Whether it lives in the torsion alone, so that one encoder cannot show it."""
+    """Whether it shows in the torsion only, and so not with one encoder."""
     behind_link_encoder: ClassVar[str] = ""
-    """Why it does not show where the link's encoder is the only one; empty where it does."""
+    """Why it does not show with the link's encoder only; empty if it does."""
     resonance: ClassVar[bool] = False
-    """Whether it is a resonance, or makes one: one encoder cannot tell it from the transmission's own or a controller's."""
+    """Whether it is a resonance, or makes one: confounded with the transmission's own or a controller's with one
+    encoder."""
 
     ripple: ClassVar[bool] = False
-    """Whether it is an order of the motor's angle: with one encoder nothing but the transmission's dynamics, and a controller's
-    answer, which no channel shows, tells it from another one."""
+    """Whether it is an order of the motor's angle: with one encoder it is confounded with others, except by the
+    transmission's dynamics and an unobserved controller."""
 
     series: ClassVar[tuple[str, str] | None] = None
-    """Place and variable of which it is one order (`parameters.PLACES`, `VARIABLES`): an unknown effect there has all of them."""
+    """Place and variable of which it is one order (`parameters.PLACES`, `VARIABLES`): an unknown effect there has all
+    of them."""
 
     generalises: ClassVar[tuple[str, ...]] = ()
     """Causes that are special cases of it, with parameters of the same names."""
 
     imitated_by: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Sets of other causes that together make nearly the same."""
+    """Sets of other causes that together have nearly the same effect."""
 
     imitated_beside: ClassVar[tuple[tuple[str, str], ...]] = ()
-    """Another cause that makes nearly the same, and the one that must be there for it."""
+    """Another cause with nearly the same effect, and the cause that must be present for it."""
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
-        """Put the effect into a parameter record, in place."""
+        """Apply the effect to a parameter record, in place."""
         for name, field in self.sets.items():
             p[field] = values[name]
         for field in self.scales:
             p[field] *= values[self.parameters[0].name]
 
     def concerns(self, joint: Joint) -> bool:
-        """Whether a joint description leaves room for the cause; most do."""
+        """Return whether the cause is possible for a joint description; most are."""
         return True
 
     def present(self, p: np.void) -> dict[str, float]:
-        """Values of the parameters at which this record would not change: the absence of the effect."""
+        """Return the values of the parameters without effect on this record."""
         neutral = {q.name: q.neutral * float(p[q.relative]) if q.relative else q.neutral for q in self.parameters}
         return neutral | {name: float(p[field]) for name, field in self.sets.items()}
 
     def centre(self, p: np.void, fixed: dict[str, float]) -> dict[str, float]:
-        """Values at which this record would not change, given the parameters in `fixed` (an order)."""
+        """Return the values without effect on this record, given the parameters in `fixed` (an order)."""
         return self.present(p)
 
     def draw(self, p: np.void, rng: np.random.Generator, size: float = 1.0) -> dict[str, float]:

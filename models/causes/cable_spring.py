@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class CableSpring(Cause):
-    """A cable pulls at the link like a spring: −k (θl − θ0)."""
-
     name = "cable_spring"
     component = "link"
     description = "a cable pulls at the link like a spring: −k (θl − θ0)"

@@ -1,55 +1,33 @@
-"""A cause that was written elsewhere: whether it keeps what the base class promises, said in one line where it does not."""
+"""Checks of a plugin's cause, with errors in one line."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, nearest
 from ..parameters import PARAMETERS, as_floats, neutral
-from ..plugins import Offer
 from ..signals import CHANNELS
 from .base import COMPONENTS, Cause, CauseParameter, Requirements
 
-_found: dict[int, tuple[Any, Cause]] = {}
-"""What was looked at already, by its identity, and the cause that it is or makes."""
 _DRAWS = 8
 
 
-def checked(offer: Offer) -> Cause:
-    """A plugin's cause: an object of a subclass of `Cause`, or the class.
+def check(cause: Cause) -> None:
+    """Check a plugin's cause.
 
     Raises:
-      InputError: what it is not, or what it does not keep; names the cause and where it comes from.
+      InputError: its fault.
     """
-    given = offer.get()
-    if id(given) not in _found:
-        where = f"cause {offer.name!r} of {offer.origin.name}"
-        try:
-            _found[id(given)] = given, _cause(given, offer.name)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from error
-        except Exception as error:  # whatever foreign code does
-            raise InputError(f"{where}: {type(error).__name__}: {error}") from error
-    return _found[id(given)][1]
-
-
-def _cause(given: Any, name: str) -> Cause:
-    cause = given() if isinstance(given, type) and issubclass(given, Cause) else given
-    if not isinstance(cause, Cause):
-        raise InputError(f"expected a Cause, got {type(given).__name__}")
-    for field in ("name", "component", "description", "parameters"):
+    for field in ("component", "description", "parameters"):
         if not hasattr(cause, field):
             raise InputError(f"{field}: missing")
-    if cause.name != name:
-        raise InputError(f"name: expected {name!r}, its entry point, got {cause.name!r}")
     if cause.component not in COMPONENTS:
         raise InputError(f"component: expected one of {list(COMPONENTS)}, got {cause.component!r}")
     parameters = {q.name: q for q in cause.parameters if isinstance(q, CauseParameter)}
     if not parameters or len(parameters) != len(cause.parameters):
-        raise InputError("parameters: expected a tuple of CauseParameter, each with a name of its own")
+        raise InputError("parameters: expected a tuple of CauseParameter, each with its own name")
     for q in cause.parameters:
         _check_parameter(q)
     if not any(q.magnitude for q in cause.parameters):
@@ -70,7 +48,6 @@ def _cause(given: Any, name: str) -> Cause:
     if not isinstance(cause.requires, Requirements):
         raise InputError(f"requires: expected Requirements, got {type(cause.requires).__name__}")
     _check_effect(cause)
-    return cause
 
 
 _SCALARS = [name for name in PARAMETERS.names or () if PARAMETERS[name].shape == ()]
@@ -97,7 +74,8 @@ def _check_parameter(q: CauseParameter) -> None:
 
 
 def _check_effect(cause: Cause) -> None:
-    """At ordinary size it changes the record and leaves it finite; where it is absent it changes nothing that acts."""
+    """Check that it changes the record at ordinary size and leaves it finite, and changes nothing that acts if
+    absent."""
     rng = np.random.default_rng(1)
     for _ in range(_DRAWS):
         plain, record = _record(), _record()
@@ -105,10 +83,10 @@ def _check_effect(cause: Cause) -> None:
         cause.apply(record[0], values)
         if np.array_equal(as_floats(record), as_floats(plain)):
             raise InputError(
-                f"apply: expected a change of the parameter record at ordinary size, got none at {_told(values)}"
+                f"apply: expected a change of the parameter record at ordinary size, got none at {_listed(values)}"
             )
         if not np.isfinite(as_floats(record)).all():
-            raise InputError(f"apply: expected finite numbers in the parameter record, got others at {_told(values)}")
+            raise InputError(f"apply: expected finite numbers in the parameter record, got others at {_listed(values)}")
         absent = cause.present(plain[0])
         if set(absent) != {q.name for q in cause.parameters}:
             raise InputError(f"present: expected a value of every parameter, got {sorted(absent)}")
@@ -117,11 +95,11 @@ def _check_effect(cause: Cause) -> None:
         changed = [f for f in _ACTING if not np.array_equal(record[0][f], plain[0][f])]
         if changed:
             raise InputError(
-                f"apply: expected no change of {changed[0]} where the effect is absent ({_told(absent)}); check `neutral`"
+                f"apply: expected no change of {changed[0]} where the effect is absent ({_listed(absent)}); check `neutral`"
             )
 
 
-# What stands in a record of an absent effect is where it would be, not that it is: an order, a phase, a spline of zeros.
+# Fields that an absent effect may set: an order, a phase, a spline of zeros.
 _PASSIVE = (
     "order", "phase", "discrepancy_place", "discrepancy_variable", "discrepancy_low", "discrepancy_high", "discrepancy_count",
 )  # fmt: skip
@@ -129,14 +107,14 @@ _ACTING = [name for name in PARAMETERS.names or () if not name.endswith(_PASSIVE
 
 
 def _record() -> np.ndarray:
-    """A record of no joint in particular: every number of it is one, and no effect is there."""
+    """Return a record of no particular joint: every number is one, and there is no effect."""
     record, nominal = neutral(), PARAMETERS.names or ()
     for name in (*nominal[: nominal.index("order")], "bl", "Jl", "Mg"):
         record[0][name] = 1.0
     return record
 
 
-def _told(values: dict[str, float]) -> str:
+def _listed(values: dict[str, float]) -> str:
     return ", ".join(
         f"{name} {value:.4g}" if math.isfinite(value) else f"{name} {value}" for name, value in values.items()
     )

@@ -8,8 +8,6 @@ from .base import PHASE, Cause, CauseParameter, Requirements, put_order
 
 
 class Cogging(Cause):
-    """A torque periodic in the rotor angle, A sin(n θm + φ), acts on the rotor."""
-
     name = "cogging"
     component = "motor"
     description = "a torque periodic in the rotor angle, A sin(n θm + φ), acts on the rotor"

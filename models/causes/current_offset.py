@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter
 
 
 class CurrentOffset(Cause):
-    """A constant is added to the current reading."""
-
     name = "current_offset"
     component = "sensor"
     sensor = "motor_current"

@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class EncoderDelay(Cause):
-    """The link encoder's reading comes late."""
-
     name = "encoder_delay"
     component = "sensor"
     sensor = "link_position"

@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class FrictionAsymmetry(Cause):
-    """Mesh friction is g(w)·(1 + a) forward and g(w)·(1 − a) backward."""
-
     name = "friction_asymmetry"
     component = "transmission"
     description = "mesh friction is g(w)·(1 + a) forward and g(w)·(1 − a) backward"

@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class FrictionDrift(Cause):
-    """Mesh friction warms up: g(w)·(1 + A exp(−t/T)) from the recording's start."""
-
     name = "friction_drift"
     component = "transmission"
     description = "mesh friction warms up: g(w)·(1 + A exp(−t/T)) from the recording's start"

@@ -17,7 +17,7 @@ class GravityDirection(Cause):
 
     name = "gravity_direction"
     component = "link"
-    description = "the link hangs at another angle than described: −Mg sin(θl + angle)"
+    description = "gravity acts at another angle than described: −Mg sin(θl + angle)"
     adds = True
     requires = Requirements(link_travel=0.5, known_push=True, gravity=True)
     parameters = (CauseParameter("angle", "rad", (-1.6, 1.6), ((-0.2, -0.08), (0.08, 0.2)), magnitude=True),)
@@ -26,5 +26,5 @@ class GravityDirection(Cause):
         p["gravity_angle"] += values["angle"]
 
     def concerns(self, joint: Joint) -> bool:
-        """Only a joint that states the direction of gravity may have it wrong: for others zero is where it hangs."""
+        """Only a joint with a stated direction of gravity may have it wrong: for others zero is its own direction."""
         return joint.gravity_angle is not None

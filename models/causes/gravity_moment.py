@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class GravityMoment(Cause):
-    """The link's gravity moment differs."""
-
     name = "gravity_moment"
     component = "link"
     description = "the link's gravity moment differs"

@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class HardStop(Cause):
-    """The link runs into a stop: −k (θl − θs) beyond the angle θs."""
-
     name = "hard_stop"
     component = "link"
     description = "the link runs into a stop: −k (θl − θs) beyond the angle θs"

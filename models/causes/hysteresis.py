@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class Hysteresis(Cause):
-    """Dahl friction acts across the flexspline: Tf + F z/x, z' = v − |v| z/x with v = Δθf'."""
-
     name = "hysteresis"
     component = "transmission"
     description = "Dahl friction acts across the flexspline: Tf + F z/x, z' = v − |v| z/x with v = Δθf'"

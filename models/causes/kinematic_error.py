@@ -18,7 +18,7 @@ class KinematicError(Cause):
     adds = True
     ripple = True
     behind_link_encoder = (
-        "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
+        "its effect on the current depends on the rotor's response, which the link's encoder does not show"
     )
     series = ("link_position", "motor_position")
     requires = Requirements(sliding=0.5, motor_turn=1.0)
@@ -30,14 +30,13 @@ class KinematicError(Cause):
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         slot = self._slot(p, values["order"])
-        p["amplitude"][p["order"] == values["order"]] = 0.0  # what the order had, in whatever many parts
+        p["amplitude"][p["order"] == values["order"]] = 0.0  # all parts of the order
         p["order"][slot] = values["order"]
         p["amplitude"][slot] = values["amplitude"]
         p["phase"][slot] = values["phase"]
 
     @staticmethod
     def _slot(p: np.void, order: float) -> int:
-        """Where the order stands, or the first free place."""
         same = np.flatnonzero((p["order"] == order) & (p["amplitude"] != 0))
         free = np.flatnonzero(p["amplitude"] == 0)
         if not (same.size or free.size):

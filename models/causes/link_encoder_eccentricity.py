@@ -8,8 +8,6 @@ from .base import PHASE, Cause, CauseParameter, Requirements, put_order
 
 
 class LinkEncoderEccentricity(Cause):
-    """The link encoder is mounted off centre: reading + A (sin(θl + φ) − sin φ)."""
-
     name = "link_encoder_eccentricity"
     component = "sensor"
     imperfection = True

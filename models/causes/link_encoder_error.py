@@ -8,7 +8,7 @@ from .base import PHASE, Cause, CauseParameter, Requirements, put_order
 
 
 class LinkEncoderError(Cause):
-    """The link encoder's error has a higher order: reading + A (sin(n θl + φ) − sin φ), beside an eccentricity.
+    """The link encoder's error has a higher order: reading + A (sin(n θl + φ) − sin φ), in addition to an eccentricity.
 
     Ordinary: what an oval or tilted disc leaves of an eccentricity of ordinary size in orders 2 to 4, about half of it.
     """

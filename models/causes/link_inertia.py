@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class LinkInertia(Cause):
-    """The link's inertia differs."""
-
     name = "link_inertia"
     component = "link"
     description = "the link's inertia differs"

@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class LoadDependentFriction(Cause):
-    """Mesh friction grows with the load: g(w) + μ|Tf|/N."""
-
     name = "load_dependent_friction"
     component = "transmission"
     description = "mesh friction grows with the load: g(w) + μ|Tf|/N"

@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class MeshFriction(Cause):
-    """Coulomb and static mesh friction (Fc, Fs) are scaled."""
-
     name = "mesh_friction"
     component = "transmission"
     description = "Coulomb and static mesh friction (Fc, Fs) are scaled"

@@ -11,18 +11,17 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class Payload(Cause):
-    """A mass on the link that its description does not have: −m g d sin(θl + gravity_angle + angle), and m d² of inertia.
+    """A mass on the link that is missing in its description: −m g d sin(θl + gravity_angle + angle), and m d² of
+    inertia.
 
-    The angle is that of the mass against the link's own centre of mass, seen from the axis: 0 hangs where the link does.
-    Gravity shows the product of mass and distance, inertia that of mass and distance squared. Ordinary: a tool or a part
-    of 0.3 to 1 kg in the hand of an arm of the test joint's size (9 N·m, 0.35 kg·m²), 0.2 to 0.4 m from the axis.
+    The angle is that of the mass against the link's own centre of mass, seen from the axis. Gravity shows the product
+    of mass and distance, inertia that of mass and distance squared. Ordinary: a tool or a part of 0.3 to 1 kg in the
+    hand of an arm of the test joint's size (9 N·m, 0.35 kg·m²), 0.2 to 0.4 m from the axis.
     """
 
     name = "payload"
     component = "link"
-    description = (
-        "a mass hangs on the link that its description does not have: gravity moment and inertia grow together"
-    )
+    description = "an unknown mass on the link: gravity moment and inertia grow together"
     adds = True
     requires = Requirements(link_travel=0.5, known_push=True)
     parameters = (

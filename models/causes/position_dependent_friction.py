@@ -8,8 +8,6 @@ from .base import PHASE, Cause, CauseParameter, Requirements, put_order
 
 
 class PositionDependentFriction(Cause):
-    """Mesh friction is periodic in the link angle: g(w) + A sin(n θl + φ)."""
-
     name = "position_dependent_friction"
     component = "transmission"
     description = "mesh friction is periodic in the link angle: g(w) + A sin(n θl + φ)"

@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class RotorInertia(Cause):
-    """The rotor's inertia differs."""
-
     name = "rotor_inertia"
     component = "motor"
     description = "the rotor's inertia differs"

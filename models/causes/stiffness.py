@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class Stiffness(Cause):
-    """The flexspline's stiffness (K1, K2, K3) is scaled."""
-
     name = "stiffness"
     component = "transmission"
     description = "the flexspline's stiffness (K1, K2, K3) is scaled"

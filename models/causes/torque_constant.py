@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class TorqueConstant(Cause):
-    """The torque constant, or the current sensor's gain, differs."""
-
     name = "torque_constant"
     component = "motor"
     description = "the torque constant, or the current sensor's gain, differs"

@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class TorqueSensorDrift(Cause):
-    """The torque sensor's reading drifts with time."""
-
     name = "torque_sensor_drift"
     component = "sensor"
     sensor = "joint_torque"

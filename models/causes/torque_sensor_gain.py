@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class TorqueSensorGain(Cause):
-    """The torque sensor's reading is scaled."""
-
     name = "torque_sensor_gain"
     component = "sensor"
     sensor = "joint_torque"

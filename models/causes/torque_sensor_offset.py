@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter
 
 
 class TorqueSensorOffset(Cause):
-    """A constant is added to the torque sensor's reading."""
-
     name = "torque_sensor_offset"
     component = "sensor"
     sensor = "joint_torque"

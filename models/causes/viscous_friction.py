@@ -6,8 +6,6 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class ViscousFriction(Cause):
-    """The mesh's viscous friction bw differs."""
-
     name = "viscous_friction"
     component = "transmission"
     description = "the mesh's viscous friction bw differs"

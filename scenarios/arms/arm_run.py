@@ -12,7 +12,7 @@ from ...estimator.estimator import KnownJoint
 from ...models.arm import ArmRecord, ArmSpec
 from ...models.arm_dynamics import Arm
 from ...models.files import yaml_text
-from ...models.joint import Mounting
+from ...models.joint_parts import Mounting
 from ...models.output import output_folder
 from ...models.parameters import neutral
 from ...sim import arm as plant

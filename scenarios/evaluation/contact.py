@@ -14,7 +14,7 @@ The joint's error is constant within a run, so that intervals are bootstrapped o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +33,6 @@ from ...sim.sensors import stream
 from ..experiment import Experiment, signals_of
 from ..scenario import Disturbance, Scenario
 from .draws import drawn_record, known_within, varied
-from .intervals import Interval
 
 SENSOR = "torque sensor"
 """Name of the torque sensor's reading among the estimators."""
@@ -115,92 +114,83 @@ class Detector:
         return np.where(self.found(threshold), late, np.nan)
 
 
-@dataclass(frozen=True)
-class OperatingPoint:
-    """A detector at a threshold.
+MEASURES = ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay")
+"""Measures of a detector at a threshold: per hour, [N·m], [1], [s]."""
 
-    Attributes:
-        threshold: [N·m]; NaN or infinite if there is none, and then all measures are NaN.
-        alarms: false alarms per hour.
-        smallest: size of which 90 % are found [N·m]; infinite if there is none.
-        share, delay: share of large pushes that are found, and their median delay [s].
-        diverged, runs: number of runs without contact in which the estimate diverged, and of all of them.
-        untrusted: of `Detector`.
+
+def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> dict[str, Any]:
+    """Evaluate a detector at a threshold [N·m].
+
+    Returns:
+        `estimator`, `threshold`, `MEASURES`, each with the ends `_low` and `_high` of its 95 % interval (bootstrap over runs),
+        and `reason`, which is empty if nothing is missing. Undefined numbers are None; a smallest push of None at a threshold
+        means that no size is found. `resamples` 0: no intervals.
     """
+    mean, ends = [math.nan] * 4, np.full((2, 4), math.nan)
+    if math.isfinite(threshold):
+        alarms, found, delays = detector.alarms(threshold), detector.found(threshold), detector.delays(threshold)
+        large = detector.size >= LARGE
+        rng = np.random.default_rng(seed)
 
-    threshold: float
-    alarms: Interval
-    smallest: Interval
-    share: Interval
-    delay: Interval
-    diverged: int
-    runs: int
-    untrusted: tuple[str, ...] = ()
+        def measures(quiet: np.ndarray, pushed: np.ndarray) -> list[float]:
+            of_large = large[pushed]
+            late = delays[pushed][of_large]
+            late = late[np.isfinite(late)]
+            return [
+                float(np.mean(alarms[quiet])),
+                smallest_push(detector.size[pushed].reshape(-1), found[pushed].reshape(-1)),
+                float(np.mean(found[pushed][of_large])) if of_large.any() else math.nan,
+                float(np.median(late)) if len(late) else math.nan,
+            ]
 
-    @property
-    def reason(self) -> str:
-        """Reason for a missing threshold or smallest push, a diverged or an untrusted estimate; empty if there is none."""
-        reasons = (
-            [f"its estimate diverged in {self.diverged} of {self.runs} runs without contact"] if self.diverged else []
+        n, m = len(alarms), len(found)
+        mean = measures(np.arange(n), np.arange(m))
+        if resamples:
+            drawn = [measures(rng.integers(0, n, n), rng.integers(0, m, m)) for _ in range(resamples)]
+            ends = np.column_stack([_quantiles(column) for column in np.array(drawn).T])
+    row: dict[str, Any] = {"estimator": detector.name, "threshold": _finite(threshold)}
+    for i, name in enumerate(MEASURES):
+        values = (mean[i], *ends[:, i])
+        row |= {f"{name}{end}": _finite(x) for end, x in zip(("", "_low", "_high"), values, strict=True)}
+    return row | {"reason": _reason(detector, threshold, mean[1])}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _reason(detector: Detector, threshold: float, smallest: float) -> str:
+    """Reason for a missing threshold or smallest push, a diverged or an untrusted estimate."""
+    of = f"of {len(detector.quiet)} runs without contact"
+    reasons = [f"its estimate diverged in {detector.diverged} {of}"] if detector.diverged else []
+    if detector.untrusted:
+        count = len(detector.untrusted)
+        reasons.append(
+            f"its estimate is not to be trusted in {count} {of}, in the first of them: {detector.untrusted[0]}"
         )
-        if self.untrusted:
-            share = f"{len(self.untrusted)} of {self.runs} runs without contact"
-            reasons.append(f"its estimate is not to be trusted in {share}, in the first of them: {self.untrusted[0]}")
-        if not math.isfinite(self.threshold):
-            reasons.append("no threshold has so few false alarms")
-        elif math.isinf(self.smallest.mean):
-            reasons.append(f"it finds fewer than {SHARE:.0%} of the pushes of any size".replace("%", " %"))
-        return "; ".join(reasons)
-
-
-def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> OperatingPoint:
-    """Evaluate a detector at a threshold, with 95 % bootstrap intervals over runs; without intervals if `resamples` is 0."""
-    diverged, runs = detector.diverged, len(detector.quiet)
     if not math.isfinite(threshold):
-        none = Interval(math.nan, math.nan, math.nan, 0)
-        return OperatingPoint(threshold, none, none, none, none, diverged, runs, detector.untrusted)
-    alarms, found, delays = detector.alarms(threshold), detector.found(threshold), detector.delays(threshold)
-    large = detector.size >= LARGE
-    rng = np.random.default_rng(seed)
+        reasons.append("no threshold has so few false alarms")
+    elif math.isinf(smallest):
+        reasons.append(f"it finds fewer than {100 * SHARE:.0f} % of the pushes of any size")
+    return "; ".join(reasons)
 
-    def measures(quiet: np.ndarray, pushed: np.ndarray) -> tuple[float, float, float, float]:
-        of_large = large[pushed]
-        late = delays[pushed][of_large]
-        late = late[np.isfinite(late)]
-        return (
-            float(np.mean(alarms[quiet])),
-            smallest_push(detector.size[pushed].reshape(-1), found[pushed].reshape(-1)),
-            float(np.mean(found[pushed][of_large])) if of_large.any() else math.nan,
-            float(np.median(late)) if len(late) else math.nan,
-        )
 
-    n, m = len(alarms), len(found)
-    mean = measures(np.arange(n), np.arange(m))
-    drawn = np.array([measures(rng.integers(0, n, n), rng.integers(0, m, m)) for _ in range(resamples)]).reshape(-1, 4)
-    ends = [(math.nan, math.nan)] * 4
-    if resamples:
-        ends = [tuple(_quantiles(column)) for column in drawn.T]
-    counts = (n, m, m, m)
-    each = [Interval(a, *e, k) for a, e, k in zip(mean, ends, counts, strict=True)]
-    return OperatingPoint(threshold, each[0], each[1], each[2], each[3], diverged, runs, detector.untrusted)
+def ranked(detectors: Iterable[Detector], rate: float, tolerance: float) -> list[dict[str, Any]]:
+    """Evaluate detectors at `rate` false alarms per hour, the smallest push first; rows of `at` with the tolerance."""
+    rows = [{"tolerance": tolerance} | at(one, one.threshold(rate)) for one in detectors]
+    return sorted(rows, key=lambda row: math.inf if row["smallest_push"] is None else row["smallest_push"])
 
 
 def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
-    """Yield a row per threshold: `OperatingPoint` without intervals; None for undefined measures."""
+    """Yield a row per threshold with the measures of `at`, without intervals; delay in ms."""
     for threshold in detector.thresholds():
-        p = at(detector, float(threshold), resamples=0)
-        measures = {
-            "threshold": threshold, "false_alarms_per_hour": p.alarms.mean, "smallest_push": p.smallest.mean,
-            "found_of_large": p.share.mean, "delay_ms": 1e3 * p.delay.mean,
-        }  # fmt: skip
-        rounded = {name: float(f"{v:.4g}") if np.isfinite(v) else None for name, v in measures.items()}
-        yield {
-            "tolerance": tolerance,
-            "estimator": detector.name,
-            **rounded,
-            "hours": detector.hours,
-            "runs": len(detector.quiet),
-        }
+        point = at(detector, float(threshold), resamples=0)
+        delay = point["delay"]
+        values = {"threshold": point["threshold"]} | {name: point[name] for name in MEASURES[:3]}
+        values["delay_ms"] = None if delay is None else 1e3 * delay
+        rounded = {name: None if x is None else float(f"{x:.4g}") for name, x in values.items()}
+        runs = {"hours": detector.hours, "runs": len(detector.quiet)}
+        yield {"tolerance": tolerance, "estimator": detector.name} | rounded | runs
 
 
 def _quantiles(values: np.ndarray) -> np.ndarray:

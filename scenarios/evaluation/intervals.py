@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtr, stdtrit
+from scipy.special import stdtrit
 
 LEVEL = 0.95
 
@@ -49,21 +49,3 @@ def interval(values: np.ndarray | Sequence[float], level: float = LEVEL) -> Inte
 def paired(values: np.ndarray, reference: np.ndarray, level: float = LEVEL) -> Interval:
     """Return the mean of values − reference, shape (n,) each, without NaN."""
     return interval(np.asarray(values, dtype=np.float64) - np.asarray(reference, dtype=np.float64), level)
-
-
-def median(values: np.ndarray | Sequence[float], level: float = LEVEL) -> Interval:
-    """Return the median of independent values, shape (n,), with an interval for any distribution, without NaN.
-
-    Its ends are the order statistics x(j) and x(n + 1 − j) with the largest j for which P(Bin(n, ½) < j) ≤ (1 − level)/2; NaN
-    if n is too small.
-    """
-    x = np.sort(np.asarray(values, dtype=np.float64))
-    x = x[~np.isnan(x)]
-    n = len(x)
-    if n == 0:
-        return Interval(math.nan, math.nan, math.nan, 0)
-    middle = float(x[(n - 1) // 2]) if x[(n - 1) // 2] == x[n // 2] else float(0.5 * (x[(n - 1) // 2] + x[n // 2]))
-    j = 0
-    while j < n // 2 and bdtr(j, n, 0.5) <= 0.5 * (1.0 - level):
-        j += 1
-    return Interval(middle, math.nan, math.nan, n) if j == 0 else Interval(middle, float(x[j - 1]), float(x[n - j]), n)

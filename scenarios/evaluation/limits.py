@@ -18,7 +18,8 @@ from ...estimator.estimator import Estimator, KnownJoint
 from ...estimator.joint_model import STATES
 from ...models.calibration import Calibration
 from ...models.errors import InputError
-from ...models.joint import Joint, Mounting
+from ...models.joint import Joint
+from ...models.joint_parts import Mounting
 from ...models.parameters import PARAMETERS
 from ..run import Run, simulate_scenario
 from ..scenario import Disturbance, Scenario

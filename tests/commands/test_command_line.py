@@ -97,7 +97,7 @@ def test_ctrl_c_of_a_terminal_is_a_line_at_most(tmp_path, after):
 )
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_request_to_end_that_falls_into_compiled_code_is_not_lost(after, number):
-    """A call from C cannot raise: Python only prints what came, and what was broken off fails elsewhere or goes on."""
+    """A call from C cannot raise: Python only prints what came, and the interrupted call fails elsewhere or continues."""
     program = f"""
 import ctypes, os, signal, time
 from flexspline import commands

@@ -85,7 +85,7 @@ def test_compare_saves_the_table(flexspline, tmp_path):
 
 
 def test_views_are_drawn_beside_the_runs(flexspline, tmp_path):
-    """Two scenarios, drawn in processes of their own: all views are there, and nothing that was handed over is left."""
+    """Two scenarios at a time: all views exist, and no temporary file is left."""
     names = ("link_sweep", "external_push")
     code, _, err = flexspline("compare", *names, "--set", "duration=2", "--out", tmp_path / "runs")
     assert code == 0, err

@@ -223,7 +223,7 @@ def test_plan_of_a_folder_that_is_no_diagnosis(flexspline, tmp_path):
 
 
 def test_nothing_is_said_to_be_planned_where_nothing_was_looked_at(flexspline, tmp_path):
-    """No experiment would tell more, it said of data with mistakes in them."""
+    """Data with mistakes get no proposals."""
     answer = {"format": 1, "verdict": "inconclusive", "reason": "mistakes in the data", "residual": {}, "next": []}
     (tmp_path / "diagnosis.json").write_text(json.dumps(answer))
     code, out, err = flexspline("plan", tmp_path)

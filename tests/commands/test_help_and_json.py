@@ -45,7 +45,7 @@ WITHOUT_JSON = {"schema": "prints JSON Schema, which is JSON already", "export-e
 
 @pytest.mark.parametrize(("folder", "name"), ALL, ids=[" ".join(one).strip() for one in ALL])
 def test_every_command_answers_programs(flexspline, folder, name):
-    """By `--json`, or for a reason that stands above; the same words are known to all, and `--json` is the option's only name."""
+    """By `--json`, the only name of the option, except for a reason above."""
     words = [word for word in (folder, name) if word]
     code, out, _ = flexspline(*words, "-h")
     assert code == 0
@@ -66,14 +66,14 @@ def test_logs_and_pages_as_json(flexspline, tmp_path, monkeypatch):
     assert json.loads(out) == {"no_load": {"file": "mcap/no_load.mcap"}} and (tmp_path / "mcap/no_load.mcap").is_file()
     code, out, err = flexspline("import", "runs/no_load/no_load.yaml", "--fix", "--out", "mended", "--json")
     assert code == 0, err
-    told = json.loads(out)
-    recording = told["recordings"]["no_load"]
-    assert (tmp_path / recording["file"]).is_file() and recording["samples"] == 3000 and told["mended"] == []
+    answer = json.loads(out)
+    recording = answer["recordings"]["no_load"]
+    assert (tmp_path / recording["file"]).is_file() and recording["samples"] == 3000 and answer["mended"] == []
     assert recording["columns"][0] == "time" and not recording["description_kept"]
     for name, *more in (("import", "--out", "x"), ("export", "--out", "x"), ("report",), ("view",)):
         words = [name, "nowhere", *more]
-        plain, told = flexspline(*words), flexspline(*words, "--json")
-        assert plain == told and plain[0] == 2 and not plain[1]
+        plain, answer = flexspline(*words), flexspline(*words, "--json")
+        assert plain == answer and plain[0] == 2 and not plain[1]
 
 
 def test_what_is_viewed_as_json(tmp_path):

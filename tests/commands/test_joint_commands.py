@@ -152,9 +152,9 @@ def test_at_a_terminal_it_asks(flexspline, monkeypatch):
     code, out, error = flexspline("joint", "new", "--out", "asked.yaml")
     assert code == 0, error
     assert "expected series-size-ratio" in out + error
-    assert flexspline("joint", "new", *words(), "--out", "told.yaml")[0] == 0
-    asked, told = (load_joint(name).model_dump() | {"model": ""} for name in ("asked.yaml", "told.yaml"))
-    assert asked == told
+    assert flexspline("joint", "new", *words(), "--out", "given.yaml")[0] == 0
+    asked, given = (load_joint(name).model_dump() | {"model": ""} for name in ("asked.yaml", "given.yaml"))
+    assert asked == given
 
 
 def test_no_file_is_replaced_unless_it_is_said(flexspline, tmp_path):
@@ -191,7 +191,7 @@ def test_a_slip_of_a_unit_is_said_when_the_joint_is_made(flexspline):
 
 
 def test_a_new_joint_runs(flexspline):
-    """From where one stands, as the command says itself."""
+    """Relative to the current folder, as in the command's output."""
     code, out, _ = flexspline("joint", "new", *words())
     typed = next(line for line in out.splitlines() if "flexspline run" in line)
     more = shlex.split(typed.partition("flexspline ")[2])

@@ -15,7 +15,8 @@ import pytest
 
 import flexspline as fs
 from flexspline.estimator import offline, registry
-from flexspline.models.joint import LOCKED, Mounting, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.recording import Recording, read_recording, write_recording
 
 
@@ -69,7 +70,7 @@ def test_a_table_beside_another_of_its_name_is_told(flexspline, measurement):
     (measurement / "slow.csv").write_text("time,motor_position\n0,1\n")
     code, out, err = flexspline("check", measurement, "--json")
     assert code == 0 and [r["name"] for r in json.loads(out)["recordings"]] == ["slow"]
-    assert one_line(err).endswith("slow.csv: not read, as slow.parquet lies beside it")
+    assert one_line(err).endswith("slow.csv: not read, as slow.parquet was read")
 
 
 def test_what_a_run_wrote_beside_its_recording_is_no_table_that_was_forgotten(flexspline, tmp_path):
@@ -81,8 +82,8 @@ def test_what_a_run_wrote_beside_its_recording_is_no_table_that_was_forgotten(fl
     assert (code, err) == (0, "")
 
 
-@pytest.mark.parametrize(("inertia", "moment", "told"), [(1.0, 1.0, False), (100.0, 1.0, True), (1.0, 0.0, True)])
-def test_an_external_torque_where_there_was_none_is_told(flexspline, sweep, tmp_path, inertia, moment, told):
+@pytest.mark.parametrize(("inertia", "moment", "reported"), [(1.0, 1.0, False), (100.0, 1.0, True), (1.0, 0.0, True)])
+def test_an_external_torque_without_a_push_is_reported(flexspline, sweep, tmp_path, inertia, moment, reported):
     """A load that is not the stated one becomes an external torque: estimates of it are marked, or the data refused."""
     link = replace_link(sweep.link, inertia, moment)
     write_recording(replace(sweep, link=link), tmp_path / "m")
@@ -90,13 +91,15 @@ def test_an_external_torque_where_there_was_none_is_told(flexspline, sweep, tmp_
         "estimate", tmp_path / "m", "--out", tmp_path / "e", "--filter", "current", "--filter", "RAREKF"
     )
     if code == 2:
-        assert told and err.count("\n") == 1
+        assert reported and err.count("\n") == 1
         return
-    assert code == 0 and ("there was no external torque, and the joint torque is" in " ".join(out.split())) == told, out
+    assert (
+        code == 0 and ("there was no external torque, and the joint torque is" in " ".join(out.split())) == reported
+    ), out
     found = json.loads((tmp_path / "e" / "metrics.json").read_text())["slow"]
-    assert found["no_estimates"] == ({"external_torque": ["RAREKF", "current"]} if told else {})
+    assert found["no_estimates"] == ({"external_torque": ["RAREKF", "current"]} if reported else {})
     errors = found["external_torque"]
-    assert all((errors[name]["rms"] > 1.0) == told for name in ("RAREKF", "current"))
+    assert all((errors[name]["rms"] > 1.0) == reported for name in ("RAREKF", "current"))
 
 
 def replace_link(link: Mounting, inertia: float, moment: float) -> Mounting:
@@ -200,8 +203,8 @@ def test_what_mends_a_mistake_is_for_the_joint_that_was_asked_for(flexspline, sw
     columns = sweep.columns | {"motor_position": np.rad2deg(sweep["motor_position"])}
     path = write_recording(replace(sweep, columns=columns), tmp_path / "degrees")
     mine = ("--joint", tmp_path / "mine.yaml")
-    for option, told in ((mine, f" --joint {tmp_path / 'mine.yaml'}"), ((), "")):
-        command = f"flexspline import {path} --fix{told} --out"
+    for option, reported in ((mine, f" --joint {tmp_path / 'mine.yaml'}"), ((), "")):
+        command = f"flexspline import {path} --fix{reported} --out"
         assert f"{command} DIR" in one_line(flexspline("estimate", path, *option, "--out", tmp_path / "e")[2])
         assert f"to correct them: {command} MENDED\n" in flexspline("check", path, *option)[1]
         assert (
@@ -209,7 +212,7 @@ def test_what_mends_a_mistake_is_for_the_joint_that_was_asked_for(flexspline, sw
         )
         assert f"{command} MENDED\n" in flexspline("diagnose", path, *option, "--out", tmp_path / "d")[1]
         page = (tmp_path / "d" / "report.html").read_text()
-        assert f"{html.escape(command)} MENDED" in page and f"flexspline check {path}{told}\n" in page
+        assert f"{html.escape(command)} MENDED" in page and f"flexspline check {path}{reported}\n" in page
 
 
 def test_both_encoders_in_degrees_are_no_missing_position(flexspline, sweep, tmp_path):
@@ -219,9 +222,9 @@ def test_both_encoders_in_degrees_are_no_missing_position(flexspline, sweep, tmp
     )
     code, out, err = flexspline("validate", path, "--json", "--out", tmp_path / "v")
     assert code == 0 and not err
-    (told,) = json.loads(out)["mistakes"]
-    assert {told["column"], *told["also"]} == set(angles)
-    assert told["severe"] and told["sure"] and not told["lost"] and told["change"] == "× 0.0174533"
+    (reported,) = json.loads(out)["mistakes"]
+    assert {reported["column"], *reported["also"]} == set(angles)
+    assert reported["severe"] and reported["sure"] and not reported["lost"] and reported["change"] == "× 0.0174533"
     both = "link_position, motor_position: degrees taken for rad"
     assert f"slow: {both}" in one_line(flexspline("estimate", path, "--out", tmp_path / "e")[2])
     assert both in " ".join(flexspline("diagnose", path, "--out", tmp_path / "d", "--no-report")[1].split())

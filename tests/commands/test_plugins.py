@@ -17,7 +17,7 @@ import yaml
 import flexspline as fs
 from flexspline.estimator import registry
 from flexspline.models import laws, plugins
-from flexspline.models.joint import Effect
+from flexspline.models.joint_parts import Effect
 from flexspline.models.parameters import PLACES
 from flexspline.models.recording import write_recording
 
@@ -51,14 +51,14 @@ def install(files: tuple[Path, Path, Path], site: Path) -> None:
     site.mkdir()
     for file in files:
         (site / file.name).write_text(file.read_text(encoding="utf-8"), encoding="utf-8")
-    told = site / "my_joint-1.0.dist-info"
-    told.mkdir()
-    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: my-joint\nVersion: 1.0\n", encoding="utf-8")
+    info = site / "my_joint-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-joint\nVersion: 1.0\n", encoding="utf-8")
     (project,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
     points = re.findall(r'\[project\.entry-points\."([\w.]+)"\]\n((?:\w+ = .*\n)+)', project)
     assert len(points) == 3
     text = "".join(f"[{group}]\n{lines}\n" for group, lines in points).replace('"', "")
-    (told / "entry_points.txt").write_text(text, encoding="utf-8")
+    (info / "entry_points.txt").write_text(text, encoding="utf-8")
 
 
 @pytest.fixture
@@ -150,7 +150,7 @@ def test_a_compiled_filter_runs_in_the_loop_and_is_swept(flexspline, installed, 
     assert set(rows.loc[rows["filter"] == "moving_average", "window"]) == {0.004, 0.1}
 
     run = fs.simulate("link_sweep", duration=1.5, transient=0.5, seed=2, filters=["moving_average"])
-    # Of the torque by the sensor's reading of the current, which is what it is given; `model` has the command.
+    # It gets the sensor's reading of the current; `model` gets the command.
     model = registry.get("model").estimate(run.signals.without("current_command"), run.known).mean
     expected = [np.mean(model[max(0, k - 9) : k + 1]) for k in range(len(model))]
     np.testing.assert_allclose(run.estimate("moving_average"), expected, rtol=0, atol=1e-9)
@@ -241,8 +241,8 @@ BROKEN = {
     "a = 1\n1 / 0": "plugin {file}, line 2: ZeroDivisionError: division by zero",
     "a = 1\nraise SystemExit(0)": "plugin {file}, line 2: SystemExit: 0",
     "import sys\nsys.exit('bye')": "plugin {file}, line 2: SystemExit: bye",
-    "ESTIMATORS = (3,)": "estimator '3' of {file}: expected an Estimator, got int",
-    "CAUSES = (3,)": "cause '3' of {file}: expected a Cause, got int",
+    "ESTIMATORS = (3,)": "estimator '3' of {file}: expected a subclass of flexspline.estimator.estimator.Estimator, got int",
+    "CAUSES = (3,)": "cause '3' of {file}: expected a subclass of flexspline.models.causes.base.Cause, got int",
 }
 
 
@@ -321,7 +321,7 @@ def test_a_step_that_cannot_be_compiled_is_one_line(flexspline, files, tmp_path)
 @pytest.mark.slow
 @pytest.mark.long
 def test_in_a_new_process_it_is_simply_there(files, tmp_path):
-    """Installed into a folder of its own: it runs, sweeps, and is named by a diagnosis."""
+    """Installed into another folder: it runs, sweeps, and is named by a diagnosis."""
     target = tmp_path / "target"
     install(files, target)
     environment = os.environ | {"PYTHONPATH": f"{target}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
@@ -338,7 +338,7 @@ def test_in_a_new_process_it_is_simply_there(files, tmp_path):
     flexspline("sweep", "mine.yaml", "--out", "sweep", "--no-figures")
     program = """
 import dataclasses, flexspline as fs
-from flexspline.models.joint import Effect
+from flexspline.models.joint_parts import Effect
 from flexspline.models.recording import write_recording
 joint = fs.load_joint("test-joint")
 effect = Effect.model_validate({"name": "soft_bearing", "parameters": {"scale": {"value": 0.4}}})

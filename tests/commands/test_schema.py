@@ -1,4 +1,4 @@
-"""Schemas: every shipped file follows its own, what is wrong does not, and every key says what it is."""
+"""Schemas: every shipped file is valid, wrong files are not, and every key has a description."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def test_the_second_run_compiles_nothing(fresh, name):
     }
 
     def call() -> str:
-        if name == "sweep":  # one that is there is only added to
+        if name == "sweep":  # an existing one is only extended
             shutil.rmtree(fresh / "sweep", ignore_errors=True)
         command = [sys.executable, "-m", "flexspline", *COMMANDS[name]]
         done = subprocess.run(command, capture_output=True, text=True, cwd=fresh, env=environment, timeout=900)

@@ -57,7 +57,7 @@ def test_a_study_into_a_folder(tmp_path, monkeypatch, capsys):
     text = (folder / "summary.md").read_text()
     assert "## RMS error [N·m]" in text
     assert text.count("| link_sweep |") == (1 + 2) * 2  # points × k
-    # Points × (RAREKF with either k, and three filters beside each of these).
+    # Points × (RAREKF with either k, and three filters for each of these).
     assert len((folder / "summary.csv").read_text().splitlines()) == 1 + 3 * (2 + 3 * 2)
     pictures = sorted(path.name for path in (folder / "figures").iterdir())
     assert pictures == ["link_sweep_rms.png", "link_sweep_rms_difference.png"]
@@ -98,7 +98,7 @@ def test_fewer_seeds_than_there_are_and_a_page_whose_command_runs(tmp_path, monk
     assert words == ["../mine/my study.yaml", "--seeds", "6", "--out", "../out"]
     code, out, _ = call(monkeypatch, capsys, *words, "--no-figures", "--json")
     assert code == 0 and [row["runs"] for row in json.loads(out)] == [6]
-    shutil.move(tmp_path / "mine", tmp_path / "other")  # its study goes on from elsewhere
+    shutil.move(tmp_path / "mine", tmp_path / "other")  # its study is in another folder now
     call(monkeypatch, capsys, "../other/my study.yaml", *words[3:], "--no-figures", "--seeds", 2)
     assert shown("../out")[0] == "../other/my study.yaml"
 
@@ -112,7 +112,7 @@ def test_a_page_of_an_older_dataset(tmp_path, monkeypatch, capsys, name, said):
     assert call(monkeypatch, capsys, folder, "--out", tmp_path / "page.html", command="report")[0] == 0
     page = (tmp_path / "page.html").read_text()
     assert f"flexspline sweep {said} --seeds 4 --out" in page
-    assert ("named by its path" in page) == (name == "small")
+    assert ("the path of your study" in page) == (name == "small")
 
 
 def test_seeds_that_are_listed_are_not_twice_as_many(tmp_path, monkeypatch, capsys):
@@ -163,7 +163,7 @@ def test_ctrl_c_leaves_a_dataset_that_goes_on(tmp_path):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert "goes on" in err and "Traceback" not in err
+    assert "continues" in err and "Traceback" not in err
     parts = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/rows/*/*/runs-*.parquet")}
     assert 3 <= len(parts) < 90
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)

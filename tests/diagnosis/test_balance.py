@@ -12,7 +12,8 @@ import flexspline as fs
 from benchmarks.balance import SENSOR_MEMORY, SENSOR_NOISE, extended, fit_current, fit_eccentricity
 from flexspline.estimator.smoothed import STEP
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Effect, Estimate, Joint, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import Recording
 
 HIDDEN = {

@@ -12,7 +12,8 @@ from swing import recording
 from flexspline.diagnosis.data.coverage import balances, can_show, missing_columns, summarise, too_little, undetermined
 from flexspline.models import causes
 from flexspline.models.arm import Load
-from flexspline.models.joint import LOCKED, Mounting, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.recording import Measurement
 
 JOINT = load_joint("test-joint")

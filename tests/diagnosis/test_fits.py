@@ -17,7 +17,8 @@ from flexspline.diagnosis.fit.solver import Fit, Fitter, evaluate_point, prior_c
 from flexspline.diagnosis.search.calibrate import better, calibrate
 from flexspline.diagnosis.search.contribution import alone
 from flexspline.models import causes
-from flexspline.models.joint import Effect, Estimate, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Effect, Estimate
 
 SEED = 5
 

@@ -19,7 +19,7 @@ from flexspline.diagnosis.improvement import ESTIMATORS, Improvement, held_out, 
 from flexspline.diagnosis.search.calibrate import calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.estimator.offline import estimate_recording
-from flexspline.models.joint import Effect, Estimate
+from flexspline.models.joint_parts import Effect, Estimate
 
 SEED = 31
 

@@ -20,7 +20,8 @@ from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.trials.score import deviations
 from flexspline.diagnosis.validate import validate
 from flexspline.models import causes
-from flexspline.models.joint import Effect, Mounting, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Effect, Mounting
 from flexspline.models.recording import Measurement, Recording, read_measurement
 
 RIPPLE = 2 * np.pi * 40.0

@@ -25,7 +25,8 @@ from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.models.arm import ArmSpec
 from flexspline.models.arm_dynamics import Arm
 from flexspline.models.errors import InputError, InputWarning
-from flexspline.models.joint import LOCKED, Mounting, load_joint, shipped
+from flexspline.models.joint import load_joint, shipped
+from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.recording import Measurement, Recording, in_arm, read_measurement, write_recording
 
 ALL = {h.label: h for h in hidden_mistakes()}

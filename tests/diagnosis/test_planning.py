@@ -31,7 +31,8 @@ from flexspline.diagnosis.search.screen import Library
 from flexspline.diagnosis.trials.draw import Challenge, drawn_scenarios
 from flexspline.diagnosis.trials.motions import waypoints
 from flexspline.models import causes
-from flexspline.models.joint import LOCKED, Effect, Estimate, Joint, Mounting, load_joint
+from flexspline.models.joint import Joint, load_joint
+from flexspline.models.joint_parts import LOCKED, Effect, Estimate, Mounting
 from flexspline.models.recording import Measurement, Recording
 
 BOTH = ("motor_position", "link_position", "motor_current")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from flexspline.diagnosis.regression import regressions
-from flexspline.models.joint import Mounting, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Measurement, Recording
 
 LINK = Mounting(inertia=0.35, gravity_moment=9.0)

@@ -17,7 +17,8 @@ from flexspline.estimator.motion import smooth
 from flexspline.estimator.offline import estimate_recording
 from flexspline.models import causes
 from flexspline.models.characteristics import characteristics
-from flexspline.models.joint import Effect, Estimate, as_joint, load_joint
+from flexspline.models.joint import as_joint, load_joint
+from flexspline.models.joint_parts import Effect, Estimate
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +160,7 @@ def test_a_linear_transmission_answers_as_its_equation_does(joint, replayed, fre
     rotor = np.column_stack([(shaken * (1j * pulsation) ** k).imag for k in range(3)])
     segment = replace(
         replayed[0], time=time, rotor=rotor, link=np.zeros((len(time), 3)), external=np.zeros(len(time)),
-        temperature=np.full(len(time), 20.0),
+        arm=np.zeros(len(time)), temperature=np.full(len(time), 20.0),
     )  # fmt: skip
     found = transmission(segment, record)["wave_generator_position"]
     coupled = p["Kw0"] + 1j * pulsation * p["dw"]

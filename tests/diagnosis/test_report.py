@@ -25,7 +25,8 @@ from flexspline.diagnosis.improvement import held_out, improvement, with_improve
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.search.explore import Decision
 from flexspline.models import causes
-from flexspline.models.joint import Effect, Estimate, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import Measurement, read_measurement, write_recording
 from flexspline.views.glossary import meaning
 from flexspline.views.pages import html

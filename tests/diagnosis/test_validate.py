@@ -15,7 +15,8 @@ from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.validate import validate
 from flexspline.models.arm import Load
 from flexspline.models.errors import InputError
-from flexspline.models.joint import ValidRange, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import ValidRange
 from flexspline.models.recording import Measurement, write_recording
 from flexspline.models.tables import read_table
 

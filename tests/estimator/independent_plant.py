@@ -75,9 +75,9 @@ class DrawnJoint:
 
 
 def draw_joint(
-    rng: np.random.Generator, imperfect: bool = False, tolerance: float = 1.0, tared: bool = False
+    rng: np.random.Generator, imperfect: bool = False, tolerance: float = 1.0, zeroed: bool = False
 ) -> DrawnJoint:
-    """Draw a joint within `tolerance` times its tolerances; `tared`: its link encoder has no offset."""
+    """Draw a joint within `tolerance` times its tolerances; `zeroed`: its link encoder has no offset."""
 
     def normal(std: float) -> float:
         return float(tolerance * std * np.clip(rng.standard_normal(), -2.5, 2.5))
@@ -92,7 +92,7 @@ def draw_joint(
         numbers[name] *= friction
     numbers["p2"] += normal(0.2)
     numbers["p4"] += normal(0.2)
-    zero, offset = (0.0 if tared else normal(1e-3)), normal(0.01)
+    zero, offset = (0.0 if zeroed else normal(1e-3)), normal(0.01)
     inertia, gravity = 1.0 + normal(0.03), 1.0 + normal(0.01)
     if not imperfect:
         return DrawnJoint(numbers, zero, offset, inertia=inertia, gravity=gravity)

@@ -1,4 +1,4 @@
-"""A joint with an effect in closed loop, and estimators that are told of it: for `test_known_effects`."""
+"""A joint with an effect in closed loop, and estimators that know it: for `test_known_effects`."""
 
 from __future__ import annotations
 
@@ -123,19 +123,24 @@ def signals_of(case: Case, seed: int, push: bool) -> tuple[Signals, np.ndarray]:
 
 
 def errors(
-    estimator: Estimator, case: Case, push: bool, draws: tuple[int, ...], told: Case | None = None, command: bool = True
+    estimator: Estimator,
+    case: Case,
+    push: bool,
+    draws: tuple[int, ...],
+    known_as: Case | None = None,
+    command: bool = True,
 ):
     """RMS errors [N·m] against the true joint torque over several draws: after the transient, and of that in motion.
 
     Args:
-      told: the effect that the estimator is told of; the case's own by default.
-      command: whether it is told the current command; otherwise it has the reading alone.
+      known_as: the effect that the estimator knows; the case's own by default.
+      command: whether it knows the current command; otherwise it has the reading only.
     """
     whole, moving = [], []
     for seed in draws:
         signals, truth = signals_of(case, seed, push)
         given = signals if command else signals.without("current_command")
-        known = KnownJoint.of(JOINT, MOUNTING, (told or case).record(seed))
+        known = KnownJoint.of(JOINT, MOUNTING, (known_as or case).record(seed))
         error = estimator.estimate(given, known).mean - truth
         kept = signals.time >= TRANSIENT
         # Faster than 2.5 Stribeck velocities: below, friction is anything up to its level.

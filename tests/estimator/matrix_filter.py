@@ -172,7 +172,7 @@ def _vector(settings, model, y, transition, observation, start, time) -> FilterH
         x, F = x.reshape(n), F.reshape(n, n)
         predicted, H = (np.asarray(a, dtype=np.float64) for a in observation(t, x.copy()))
         predicted, H = predicted.reshape(m), H.reshape(m, n)
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is told by its status
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # an overflow shows in its status
             found = vector_update(f, x, predicted, y[t], F, H, W, V, L, model.load_index, c)
         if isinstance(found, int):
             largest = 0.0

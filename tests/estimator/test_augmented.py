@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.draws import DrawnExperiment, draw, rms
 from flexspline.estimator import registry
 from flexspline.models.signals import Signals
-from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw, rms
 from flexspline.scenarios.scenario import load_scenario
 
 
@@ -46,7 +46,7 @@ def test_on_an_exact_joint():
     assert 0.3 < nees < 1.5
 
 
-def test_a_clock_that_jitters_is_found_out(pushed):
+def test_jitter_of_the_clock_is_detected(pushed):
     """Stamps that are off by 0.1 ms while the samples are even cost next to nothing; right stamps of uneven samples are used."""
     rng = np.random.default_rng(6)
     augmented = registry.get("augmented")
@@ -62,7 +62,7 @@ def test_a_clock_that_jitters_is_found_out(pushed):
     assert thinned < 2.0 * right
 
 
-def test_rounding_decides_nothing(pushed):
+def test_rounding_does_not_change_decisions(pushed):
     """What differs in the twelfth digit, as after another unit's conversion, changes an estimate by next to nothing: readings of
     one count stay one count, and no time that is a sum of intervals falls on an instant."""
     found = registry.get("augmented").estimate(pushed.signals, pushed.known).mean
@@ -80,13 +80,13 @@ def test_rounding_decides_nothing(pushed):
 
 def test_an_exact_joint_has_nothing_to_learn(pushed):
     """Without spread every constant stays what the record says; with it, they move, within what is known of them."""
-    told = registry.get("augmented").estimate(pushed.signals, pushed.known)
+    known = registry.get("augmented").estimate(pushed.signals, pushed.known)
     exact = registry.get("augmented").estimate(pushed.signals, pushed.known.within(0.0))
     for name in ("stiffness_error", "wave_generator_error", "friction_error"):
         assert not exact.columns[name].any()
-        assert told.columns[name].any()
+        assert known.columns[name].any()
     spread = pushed.known.spread
-    assert abs(told.columns["stiffness_error"][-1]) < 3 * spread.stiffness
+    assert abs(known.columns["stiffness_error"][-1]) < 3 * spread.stiffness
 
 
 def test_still_at_rest():
@@ -105,9 +105,9 @@ def test_still_at_rest():
 
 
 @pytest.mark.slow
-def test_no_surer_at_rest_than_the_link_encoder_s_count():
+def test_variance_at_rest_is_at_least_the_link_encoders_count():
     """24 joints come to rest under 12 N·m and hold: the link encoder keeps its count, whose error does not average out. Had each
-    sample an error of its own, the mean NEES would be 2.2."""
+    sample its own error, the mean NEES would be 2.2."""
     path = "trajectory=[{time: 0.5, position: 0}, {time: 5, position: 1.5}]"
     scenario, folder = load_scenario("link_sweep", [path, "duration=9"])
     means = []
@@ -121,8 +121,8 @@ def test_no_surer_at_rest_than_the_link_encoder_s_count():
     assert 0.3 < np.mean(means) < 1.0 + 2.5 * error
 
 
-def test_time_stamps_that_jitter_are_no_touch():
-    """Sensors as they are, nobody touches the joint: not even the widest of 16 000 intervals, 0.5 ms off and more, is a touch."""
+def test_jittering_time_stamps_are_not_a_contact():
+    """Realistic sensors without contact: not even the widest of 16 000 intervals, 0.5 ms off and more, is a contact."""
     scenario, folder = load_scenario("collision", ["sensors=realistic", "duration=16"])
     quiet = draw(scenario.model_copy(update={"disturbances": []}), folder, 3, 0.2)
     found = registry.get("augmented").estimate(quiet.signals, quiet.known)
@@ -136,8 +136,8 @@ def test_time_stamps_that_jitter_are_no_touch():
 @pytest.mark.parametrize(
     ("name", "seed"), [("link_sweep", 129), ("link_sweep", 123), ("no_load", 128), ("external_push", 107)]
 )
-def test_a_zero_that_nobody_tared_is_found_and_no_surer_than_it_may_be(name, seed):
-    """Zeros off by more than the torsion between two knees of the spring: it was 1 to 6 N·m off, and sure to 0.15 N·m."""
+def test_an_unknown_zero_is_found_with_a_consistent_variance(name, seed):
+    """Zeros off by more than the torsion between two breakpoints of the spring: it was 1 to 6 N·m off, and sure to 0.15 N·m."""
     scenario, folder = load_scenario(name)
     one = draw(scenario.model_copy(update={"duration": 14.0}), folder, seed, tared=False)
     off, torsion = one.record["link_zero"][0], one.known.p["T2"] / one.known.p["K2"]

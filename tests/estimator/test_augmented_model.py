@@ -60,10 +60,10 @@ class Midway:
     _arrays: tuple
 
     @classmethod
-    def of(cls, case: str, samples: int = 900, interval: float | None = None, **told: float) -> Midway:
-        """Of a case of `test_symmetry`; `interval` [s] to the next sample, by default the recording's; told: of its record."""
+    def of(cls, case: str, samples: int = 900, interval: float | None = None, **changes: float) -> Midway:
+        """Of a case of `test_symmetry`; `interval` [s] to the next sample, by default the recording's; changes: of its record."""
         signals, known = seen(case)
-        known = known.with_numbers(**told)
+        known = known.with_numbers(**changes)
         estimator = registry.get("augmented")
         step = estimator.step(known, 1e-3)
         given = as_samples(signals, (), known)[: samples + 1].copy()
@@ -152,7 +152,7 @@ class Midway:
 
 
 def disturbed(midway: Midway, **values: float) -> Midway:
-    """The same, not in equilibrium: pushed, swinging, wound; with a kinematic error that nobody told of."""
+    """The same, not in equilibrium: pushed, swinging, wound; with an unknown kinematic error."""
     x, p = midway.memory["x"], midway.joint.p
     given = {"external": 1.5, "mesh": 2e-3, "rotor": x[AT["rotor"]] + 0.3, **values}
     if p["flexible_share"]:
@@ -192,12 +192,12 @@ def test_more_friction_bends_the_bristle_the_way_it_turns(slow):
     assert found == pytest.approx(slow, rel=0.05)
 
 
-@pytest.mark.parametrize("told", [{}, {"flexible_share": 0.2, "flexible_damping": 0.05, "cable_stiffness": 0.7}])
-def test_errors_grow_by_the_equations_linearised(told):
+@pytest.mark.parametrize("changes", [{}, {"flexible_share": 0.2, "flexible_damping": 0.05, "cable_stiffness": 0.7}])
+def test_errors_grow_by_the_equations_linearised(changes):
     """F from the covariance of one error at a time, against differences of the equations. Left out: the Stribeck curve's slope,
-    what a bristle's deflection does to its damping, how the wave generator stiffens, how a weight shakes what hangs by a spring,
+    what a bristle's deflection does to its damping, how the wave generator stiffens, how a weight shakes a flexible part,
     all of kinematic error but the spring's."""
-    midway = disturbed(Midway.of("plain", interval=MOMENT, **told), stiffness=0.0)
+    midway = disturbed(Midway.of("plain", interval=MOMENT, **changes), stiffness=0.0)
     noise = midway.after()[1]
     linear = {"Fs": midway.joint.p["Fc"], "friction_load": 0.0}
     others = Midway(midway.joint.with_numbers(**linear), midway.memory, midway.settings, midway.sample, midway._arrays)
@@ -249,19 +249,19 @@ def seeing(case: str, deviation: float = 0.02) -> Midway:
     return midway
 
 
-def test_what_torsion_shows_of_the_joints_numbers():
+def test_sensitivity_of_torsion_to_the_joints_numbers():
     """An error of a number in the state says of torsion's torque what the number itself, changed in the record, says."""
     midway = seeing("plain")
     p = midway.joint.p
 
-    def innovation(x=None, **told):
-        other = midway.joint.with_numbers(**told)
+    def innovation(x=None, **changes):
+        other = midway.joint.with_numbers(**changes)
         arrays = (*midway._arrays[:2], other.record, *midway._arrays[3:])
         return Midway(other, midway.memory, midway.settings, midway.sample, arrays).after(x)[2]["innovation"]
 
     before = innovation()
     small = 1e-4
-    told = {
+    changes = {
         "zero": (1e-7, {"link_zero": p["link_zero"] + 1e-7}),
         "wave": (small, {"Kw0": p["Kw0"] * (1 + small)}), "curve": (small, {"Cw": p["Cw"] * (1 + small)}),
     }  # fmt: skip
@@ -271,8 +271,8 @@ def test_what_torsion_shows_of_the_joints_numbers():
         a, b = (a + 1e-9, b) if quadrature == 0 else (a, b + 1e-9)
         amplitude, phase = p["amplitude"].copy(), p["phase"].copy()
         amplitude[i], phase[i] = np.hypot(a, b), np.arctan2(b, a)
-        told[len(NAMES) + 2 * k + quadrature] = 1e-9, {"amplitude": amplitude, "phase": phase}
-    for name, (size, numbers) in told.items():
+        changes[len(NAMES) + 2 * k + quadrature] = 1e-9, {"amplitude": amplitude, "phase": phase}
+    for name, (size, numbers) in changes.items():
         by_state = innovation(midway.moved(AT.get(name, name), size)) - before
         by_record = innovation(**numbers) - before
         assert by_state == pytest.approx(by_record, rel=0.03), name
@@ -334,7 +334,7 @@ def test_constants_are_learned_after_a_tenth_of_a_second_of_sliding():
         assert np.any(after != before) == learned, slid
 
 
-def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
+def test_calm_needs_small_innovations_and_no_contact():
     """All three; any of them ends it, and with it the time that was slid. It is due at half a second, then again and again."""
     midway = seeing("plain")
     midway.sample["interval"], h = 1e-3, 1e-3
@@ -359,7 +359,7 @@ def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
 
 
 @pytest.mark.parametrize("by", ["motion", "rest"])
-def test_at_rest_only_torsion_that_stands_out_teaches(by):
+def test_at_rest_constants_are_learned_from_large_torsion_innovations_only(by):
     """Constants: in motion of any innovation; at rest of torsion's alone, where it is known no better than a hundredth of T2."""
     midway = seeing("plain")
     midway.sample["interval"] = 1e-3
@@ -383,7 +383,7 @@ def test_at_rest_only_torsion_that_stands_out_teaches(by):
 
 
 def S0(midway: Midway) -> float:
-    """Variance of torsion's torque [(N·m)²] that its readings alone leave: what is left of S where everything is known."""
+    """Variance of torsion's torque [(N·m)²] that its readings alone leave: S with exact knowledge."""
     midway.settings["prior"][AT["count"]], kept = 0.0, midway.settings["prior"][AT["count"]]
     found = midway.after()[2]["innovation_variance"]
     midway.settings["prior"][AT["count"]] = kept
@@ -391,7 +391,7 @@ def S0(midway: Midway) -> float:
 
 
 def test_noise_grows_with_time_and_contradiction():
-    """Of a state that is known: white noise goes by the interval, held torque by its square, what forgets settles."""
+    """Of a state that is known: white noise is proportional to the interval, held torque by its square, what forgets settles."""
     midway = disturbed(Midway.of("plain"))
     c, p = midway.settings, midway.joint.p
 
@@ -431,7 +431,7 @@ def test_noise_grows_with_time_and_contradiction():
         assert unseen == pytest.approx(0.5 * c["loose"] * ((h - 1e-3) / 0.5) ** 2)
 
 
-def test_a_count_that_both_encoders_keep_is_worth_less_with_every_sample():
+def test_a_repeated_count_has_a_growing_variance():
     """The n-th in a row has n times a count's variance, to the link encoder as to torsion; a new count of either is news."""
     midway = disturbed(Midway.of("plain"))
     midway.settings["link_variance"], midway.settings["torsion_variance"] = 1e-11, 2e-11
@@ -464,8 +464,8 @@ def test_a_count_that_both_encoders_keep_is_worth_less_with_every_sample():
     assert count > 0.02 * c["torsion_variance"]
 
 
-def test_nobody_touches_it():
-    """Left alone for a while, an external torque within its uncertainty is taken for nothing, over a time `back`."""
+def test_external_torque_decays_without_contact():
+    """Without contact for a while, an external torque within its uncertainty decays, over a time `back`."""
     midway = disturbed(Midway.of("plain"), external=0.02)
     midway.settings["wait"] = 0.2
     c, h, i = midway.settings, 1e-3, AT["external"]
@@ -517,7 +517,7 @@ def test_the_torque_is_the_joints():
     assert doubted[3]["link_ratio"] > 5.0
 
 
-def test_constants_are_learned_in_calm_motion_and_now_and_then():
+def test_constants_are_learned_in_calm_motion_at_intervals():
     """Not before half a second of calm and a tenth of sliding, then every 50 ms; after a push not before as long again."""
     known = seen("plain")[1]
     calm, pushed = (signals_of(PLAIN, SEED, push)[0].part(slice(0, 6000)) for push in (False, True))
@@ -540,7 +540,7 @@ def test_constants_are_learned_in_calm_motion_and_now_and_then():
 
 
 @pytest.mark.parametrize("current", [0.0, 0.3, -0.3])
-def test_it_begins_in_equilibrium_and_perhaps_in_motion(current):
+def test_it_starts_in_equilibrium_with_an_unknown_velocity(current):
     """At the first readings: torques as torsion and current have them, friction takes the rest as far as it can; a velocity of
     up to 1 rad/s of the whole joint at once."""
     _, known = seen("plain")
@@ -568,7 +568,7 @@ def test_it_begins_in_equilibrium_and_perhaps_in_motion(current):
     assert (m["torsion_ratio"], m["link_ratio"], m["belief"]) == (pytest.approx(0.8, abs=0.01), 1.0, 1.0)
 
 
-def test_what_hangs_on_the_link_may_swing_as_a_tenth_of_the_joints_torque_bends_it():
+def test_prior_of_the_flexible_part():
     """And its velocity has as much energy as that: both filters that carry it."""
     _, known = seen("rich")
     p = known.p
@@ -601,7 +601,7 @@ def test_the_grid_of_samples_follows_the_stamps():
     assert late["phase"] == pytest.approx(-0.98 * 4e-4), "by more than half a period it is the next sample's"
 
 
-def test_stamps_are_followed_as_far_as_they_are_believed():
+def test_the_interval_follows_the_trust_in_stamps():
     """In between, as of an interval that is off by less; by the link's readings, belief is a regression on what it moved."""
     midway = disturbed(Midway.of("plain"))
     off, quarter = 8e-5, 0.25
@@ -631,20 +631,20 @@ def test_stamps_are_followed_as_far_as_they_are_believed():
     for wrong in (0.2, -0.1):
         assert beliefs[wrong] - beliefs[0.0] == pytest.approx(wrong * share, rel=0.05)
     assert beliefs[40.0] == 1.0 and beliefs[-40.0] == 0.0
-    # One innovation tells of belief −1 to 2 at most, however far off it is: a touch is no clock.
+    # One innovation counts as a belief of −1 to 2 at most: a contact is not a clock error.
     evidence_before = 100.0 * moved**2 / V
-    told = {}
+    changes = {}
     for wrong in (0.0, 40.0, -40.0):
         midway.sample["link_position"] = x_after[AT["link"]] + wrong * moved + midway.joint.p["link_zero"]
         given = {"period": 1e-3, "beats": 200.0, "phase": 0.0, "belief": 0.5, "evidence": evidence_before}
-        told[wrong] = float(midway.after(x, P, **given)[3]["belief"])
+        changes[wrong] = float(midway.after(x, P, **given)[3]["belief"])
     weight = moved**2 / V / (evidence_before + moved**2 / V)
-    assert told[40.0] == pytest.approx(0.5 + 1.5 * weight, rel=1e-3)
-    assert told[-40.0] == pytest.approx(0.5 - 1.5 * weight, rel=1e-3)
-    assert told[-40.0] < told[0.0] < told[40.0]
+    assert changes[40.0] == pytest.approx(0.5 + 1.5 * weight, rel=1e-3)
+    assert changes[-40.0] == pytest.approx(0.5 - 1.5 * weight, rel=1e-3)
+    assert changes[-40.0] < changes[0.0] < changes[40.0]
 
 
-def test_samples_that_are_off_in_time_are_found_out():
+def test_time_errors_of_samples_are_learned():
     """Even stamps, readings of a moving link 0.2 ms off: the time is found to a third, and no jitter where there is none."""
     signals, known = signals_of(PLAIN, SEED, False)[0].part(slice(0, 4000)), seen("plain")[1]
     step = registry.get("augmented").step(known, 1e-3)
@@ -660,7 +660,7 @@ def test_samples_that_are_off_in_time_are_found_out():
     assert found["late"] == pytest.approx(2e-4, rel=0.35) and found["even"] < 5e-5
 
 
-def test_a_bristle_that_is_stiff_in_damping_does_not_shake():
+def test_a_stiff_bristle_damping_is_stable():
     """A bristle of three times the damping that turns round at rest: errors of the state do not grow from sample to sample."""
     midway = Midway.of("plain", s1=0.03).blind()
     x = midway.memory["x"].copy()
@@ -670,8 +670,8 @@ def test_a_bristle_that_is_stiff_in_damping_does_not_shake():
     assert midway.after(x, P)[1][AT["wave_rate"], AT["wave_rate"]] < 1.0
 
 
-def test_a_touch_that_constants_could_be_is_taken_for_them():
-    """An external torque that has lasted for two seconds: constants begin anew. One that is more than they could be stays."""
+def test_a_contact_within_the_constants_priors_resets_them():
+    """An external torque that has lasted for two seconds: constants are reset. One that is more than they could be stays."""
     midway = disturbed(Midway.of("plain"), external=0.1)
     c, i = midway.settings, AT["external"]
     c["wait"], c["least"] = 0.2, 1e-3

@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 from flexspline.estimator import get
 from flexspline.estimator.bands import deviations, disagreement, motion_and_load, reference_torque
 from flexspline.estimator.estimator import KnownJoint
-from flexspline.models.joint import Uncertainty, ValidRange, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Uncertainty, ValidRange
 from flexspline.models.signals import Signals
 
 JOINT = load_joint("test-joint")
@@ -60,8 +61,8 @@ def test_noise_is_the_sensors_with_their_counts():
     assert np.std(band["current"] ** 2) / 0.04 == pytest.approx(np.sqrt(2 / 250), rel=0.35)
 
 
-def test_a_drives_torque_is_as_little_known_as_its_current():
-    """What the description cannot hold of the current was nothing where the drive told the torque."""
+def test_a_drives_torque_has_the_uncertainty_of_its_current():
+    """The unexplained part of the current was zero if the drive reported the torque."""
     per_ampere = float(P["Kt_drive"])
 
     def run(s: Signals, _):
@@ -69,13 +70,13 @@ def test_a_drives_torque_is_as_little_known_as_its_current():
 
     read = signals(RAMP)
     columns = {name: read[name] for name in ("motor_position", "link_position")}
-    told = Signals(TIME, columns | {"motor_torque": per_ampere * read["motor_current"]})
+    reported = Signals(TIME, columns | {"motor_torque": per_ampere * read["motor_current"]})
     joint = stating({"motor_current": 0.3})
-    one, other = (found(run, s, joint)["torque"] for s in (read, told))
+    one, other = (found(run, s, joint)["torque"] for s in (read, reported))
     np.testing.assert_allclose(other, one, rtol=1e-9)
 
 
-def test_errors_of_current_pass_as_far_as_the_estimator_lets_them():
+def test_errors_of_current_are_scaled_by_the_estimators_response():
     """A first-order low-pass of time constant τ passes T/(T + τ) of the variance of an error that forgets in T = 0.3 s."""
 
     def run(s: Signals, _):
@@ -110,7 +111,7 @@ def test_errors_of_torsion_are_the_larger_balances_and_the_hysteresis(stated, hy
     ("motor_position", "link_position"), ("link_position", "motor_current"), ("link_position",),
 ], ids="+".join)  # fmt: skip
 def test_each_sensor_has_its_own_errors(read):
-    """Whatever is read: a torque that is told of one angle, of both or of the current has errors of the torsion where there is
+    """For any readings: a torque from one angle, of both or of the current has errors of the torsion where there is
     one, of the current where that is read, and none of what is not there."""
     s = signals(RAMP).with_columns(motor_torque=np.full(len(TIME), P["Kt_drive"] * 0.5))
     s = Signals(TIME, {name: s[name] for name in read})
@@ -139,7 +140,7 @@ def test_errors_grow_beyond_the_range():
     assert band[-100] / band[0] == pytest.approx(3.0, rel=0.03)
 
 
-def test_at_rest_friction_is_anything_up_to_its_level():
+def test_friction_at_rest_is_unknown_up_to_its_level():
     def run(s: Signals, known: KnownJoint):
         return {"friction": np.full(len(s.time), known.p["N"] * known.p["Fc"])}
 
@@ -153,7 +154,7 @@ def test_at_rest_friction_is_anything_up_to_its_level():
     assert rms(moving[1000:-1000]) < 1e-3 * level
 
 
-def test_what_is_not_known_of_a_number_is_in_the_band():
+def test_tolerances_widen_the_band():
     joint = stating({}, ("Kt",), ((0.1 * P["Kt"],),))
     current = 0.5 + 0.3 * np.sin(TIME)
 
@@ -180,7 +181,7 @@ def test_the_torque_without_lag_is_of_torsion_or_else_of_current():
     assert not reference_torque(Signals(TIME, {"link_position": RAMP}), SILENT).any()
 
 
-def test_a_drives_torque_stands_for_its_current():
+def test_a_drives_torque_is_converted_to_current():
     s = signals(RAMP, 0.5 + 0.3 * np.sin(TIME))
     other = Signals(TIME, {name: s[name] for name in ("motor_position", "link_position")})
     _, one = motion_and_load(s, SILENT)

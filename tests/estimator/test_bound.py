@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from flexspline.estimator import KnownJoint, SensorNoise, bound, joint_model
-from flexspline.estimator.filters import dynamics_ekf
+from flexspline.estimator.filters import dynamics_kalman
 from flexspline.estimator.joint_model import BRISTLE, EXTERNAL, LINK, LINK_RATE, MOTOR, SIZE, ProcessNoise
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
@@ -54,7 +54,7 @@ def walk(record, seed: int, intensity: float, n: int = 1500):
 
 @pytest.mark.parametrize("delay, warmer", [(0.0, 0.0), (6e-3, 20.0)])
 def test_joint_bound_is_the_covariance_recursion(record, delay, warmer):
-    """Against the Riccati recursion of the covariance with Jacobians of its own and a little noise on every state. That of the
+    """Against the Riccati recursion of the covariance with separate Jacobians and a little noise on every state. That of the
     information would take the difference of numbers of 1e10 there, 5 % off on some processors. A link encoder that is late reads
     the link where it was, θl − delay·ωl; a warm gear has another friction."""
     time, states, current, command, _, _ = walk(record, 3, 1.0, 121)
@@ -103,7 +103,7 @@ def test_joint_bound_is_the_covariance_recursion(record, delay, warmer):
 
 
 def test_numbers_with_a_prior_are_constant_states(record):
-    """Against the dense recursion of states and numbers together, with Jacobians of its own."""
+    """Against the dense recursion of states and numbers together, with separate Jacobians."""
     time, states, current, command, _, _ = walk(record, 3, 1.0, 81)
     others = np.concatenate([record, record, record, record])
     others[0]["K1"] *= 1.07
@@ -166,7 +166,7 @@ def test_a_filter_of_the_same_model_attains_it(record):
         external=intensity / float(record[0]["T2"]), push=0.0, mesh=0.0, mesh_push=0.0, torque=0.0, bristle=1e-4,
         floor=0.0,
     )  # fmt: skip
-    filtered = dynamics_ekf.DynamicsEKF(process=process)
+    filtered = dynamics_kalman.DynamicsEKF(process=process)
     errors, limits = [], []
     for seed in seeds:
         time, states, current, command, motor, link = walk(record, seed, intensity)
@@ -182,7 +182,7 @@ def test_a_filter_of_the_same_model_attains_it(record):
 
 
 def test_bound_of_the_joint_behaves(record):
-    """A louder torque and a coarser encoder raise it; presliding friction near rest has no instability of its own."""
+    """A louder torque and a coarser encoder raise it; presliding friction near rest adds no instability."""
     time, states, current, command, _, _ = walk(record, 5, 0.0, 800)
     quiet = bound.joint_bound(time, states, current, command, record, NOISE, 0.1)
     loud = bound.joint_bound(time, states, current, command, record, NOISE, 1.0)

@@ -1,4 +1,4 @@
-"""The compliance model, Eqs. (1)-(7): its own inverse, its knees, and the reference data."""
+"""The compliance model, Eqs. (1)-(7): its own inverse, its breakpoints, and the reference data."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def test_round_trip(calibration, rng):
     np.testing.assert_allclose(got.torque, Tf, rtol=0, atol=3e-12)  # 1e-16 rad of an angle is 1.3e-12 N·m
 
 
-def test_knees_and_oddness(calibration):
-    """Torques at and around the knees, and the same with the sign turned."""
+def test_breakpoints_and_oddness(calibration):
+    """Torques at and around the breakpoints, and the same with the sign turned."""
     T = np.array([0.0, 1.0, T1 - 1e-9, T1, T1 + 1e-9, 8.0, T2 - 1e-9, T2, T2 + 1e-9, 25.0])
     flat = calibration.copy()
     flat["amplitude"] = 0.0
@@ -117,7 +117,7 @@ def test_filters_on_the_reference(reference, calibration, name, rng):
         assert max(rms["arekf"], rms["rarekf"]) < 0.7 * rms["ekf"]
 
 
-def test_a_late_link_encoder_is_held_against_motor_and_torque_as_they_were(known):
+def test_a_delayed_link_encoder_is_compared_with_past_motor_and_torque(known):
     """While everything moves evenly: the torque of readings 1.6 samples old is that of readings in time."""
     time = np.arange(300) * 1e-3
     delay = 1.6e-3
@@ -135,7 +135,7 @@ def test_a_late_link_encoder_is_held_against_motor_and_torque_as_they_were(known
     assert np.abs(model.estimate(late, known).mean - in_time)[50:].min() > 0.1  # had nobody known
 
 
-def test_a_late_link_encoder_sees_the_motor_torque_of_its_own_time(known):
+def test_a_delayed_link_encoder_uses_the_past_motor_torque(known):
     """A current that rises by the second turns the wave generator against the rotor: what it did then, not what it does now."""
     time = np.arange(400) * 1e-3
     delay, slope = 2.6e-3, 40.0
@@ -156,7 +156,7 @@ def test_a_late_link_encoder_sees_the_motor_torque_of_its_own_time(known):
     np.testing.assert_allclose(found[20:], 0.0, atol=0.05 * np.abs(model.estimate(late, known).mean)[20:].max())
 
 
-def test_observers_read_a_late_link_encoder_as_it_will_be(known):
+def test_observers_extrapolate_a_delayed_link_encoder(known):
     """While it speeds up and winds up: the link's velocity and torque are those of readings in time, not `delay` behind them."""
     time = np.arange(600) * 1e-3
     delay, speed = 4e-3, 30.0

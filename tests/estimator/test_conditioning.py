@@ -90,7 +90,7 @@ def test_wrong_stamps_are_found_at_any_speed_pattern(rate, motion):
                     assert found == pytest.approx(error, rel=0.3), (bits, len(seen), jitter)
 
 
-def test_clock_of_arrival_is_taken_back_to_even_samples():
+def test_arrival_stamps_become_even_samples():
     print("seed", 5)
     rng = np.random.default_rng(5)
     taken = 0.1 + np.arange(6000) / 250.0
@@ -139,7 +139,7 @@ def test_repeats_are_counted_and_filled_in(share):
     assert not condition(r, JOINT).news
 
 
-def test_rest_and_slow_counts_are_no_repeats():
+def test_rest_and_slow_counts_are_not_repeats():
     taken = np.arange(20_000) * 1e-3
     x = np.clip(0.02 * np.sin(0.5 * taken), -0.01, 0.01)  # rests, and counts that come every few samples
     assert news_of(np.round(x / BITS) * BITS, [slice(0, len(x))])[1] == 0.0
@@ -188,7 +188,7 @@ def test_a_good_log_keeps_its_passband(shared):
 
 
 @pytest.mark.parametrize(("rate", "most"), [(5.0, 1.25), (25.0, 6.25), (200.0, 50.0), (20_000.0, CUTOFF)])
-def test_no_passband_is_beyond_what_a_rate_shows(rate, most):
+def test_the_rate_limits_the_passband(rate, most):
     taken = 0.1 + np.arange(int(min(30 * rate, 40_000))) / rate
     found = condition(recording(taken, taken, angle("sine", 31.0, np.random.default_rng(3)), 22), JOINT)
     assert 0.0 < found.passband <= most * 1.001
@@ -231,7 +231,7 @@ def both(seconds: float = 8.0, rate: float = 1000.0) -> Recording:
     return replace(r, columns={**r.columns, "motor_position": motor, "joint_torque": torque})
 
 
-def test_a_coarser_log_is_told_and_taken_as_it_is():
+def test_a_coarser_log_is_reported_and_used():
     r = both()
     assert coarser((r,), JOINT) == () and as_logged(JOINT, (r,)) is JOINT
     x = np.round(r["link_position"] / BITS) * BITS
@@ -246,7 +246,7 @@ def test_a_coarser_log_is_told_and_taken_as_it_is():
 
 
 @pytest.mark.parametrize("column", ["link_position", "motor_position"])
-def test_an_encoder_that_is_held_is_read_at_its_rate(column):
-    """On a bus of 125 Hz: one held for eight samples was a delay of 3.5 ms at 0.99, with a link inertia beside it."""
+def test_a_held_encoder_has_its_own_rate(column):
+    """On a bus of 125 Hz: one held for eight samples was a delay of 3.5 ms at 0.99, together with a link inertia."""
     (one,) = coarser((held(both(), column, 8),), JOINT)
     assert (one.column, one.what) == (column, "rate") and one.found == pytest.approx(125.0, rel=0.03)

@@ -1,4 +1,4 @@
-"""The estimators that know the joint's dynamics: discretisation, quantised update, consistency, and what they are worth."""
+"""The estimators that know the joint's dynamics: discretisation, quantised update, consistency, and accuracy."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_step_against_an_independent_integrator(effects, record):
     )
 
 
-def test_substeps_are_as_fine_as_the_fastest_spring_asks(record):
+def test_substeps_resolve_the_fastest_spring(record):
     """Eigenvalues of the springs between the bodies at their present stiffness: no mode turns by more than 0.8 rad in a substep,
     and with one substep less it would, or the substep be longer than half a millisecond; ten at most where that fails."""
     soft = record.copy()
@@ -111,7 +111,7 @@ def test_substeps_are_as_fine_as_the_fastest_spring_asks(record):
         assert joint_model.substeps(x, dt, record[0]) == int(10 * max(1.0, dt / 0.5e-3))
 
 
-def test_until_the_first_link_reading_has_come_both_ways_to_predict_agree():
+def test_both_predictions_agree_before_the_first_link_reading():
     """Of a link encoder that is 4 ms late nothing is known before but the prior, through the model: whether by a Jacobian, which
     is there from the first sample on, or by sigma points."""
     signals, known = seen("late")
@@ -267,7 +267,7 @@ def test_half_of_rarekf_under_pushes():
     assert rms["dynamics_ekf"] <= 0.5 * rms["RAREKF"]
 
 
-def test_at_rest_the_torque_is_told_no_better_than_a_count_tells_it():
+def test_variance_of_the_torque_at_rest_is_at_least_a_count():
     """The place within the count drifts while the joint rests, and the variance says so: NEES there is about 1 or below."""
     changes = ["duration=7", "trajectory=[{time: 0.2, position: 0.8}, {time: 3, position: 1.2}]"]
     scenario, folder = load_scenario("link_sweep", changes)
@@ -285,7 +285,7 @@ def test_at_rest_the_torque_is_told_no_better_than_a_count_tells_it():
 @pytest.mark.long
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_half_of_rarekf_everywhere(scenario):
-    """In the mean over starts, paces and pushes: where a count happens to lie at rest is worth a factor of three to either."""
+    """In the mean over starts, paces and pushes: where a count happens to lie at rest changes either by a factor of three."""
     seeds = range(1, 7)
     results = [compare(scenario, seed, ("dynamics_ekf",), vary=True) for seed in seeds]
     ratios = [rms["dynamics_ekf"] / rms["RAREKF"] for rms in results]
@@ -306,7 +306,7 @@ def test_friction_error_is_absorbed(scenario):
     assert rms["dynamics_ekf"] < rms["RAREKF"]
 
 
-def test_a_late_link_encoder_costs_the_smoother_nothing(record):
+def test_a_delayed_link_encoder_does_not_affect_the_smoother(record):
     """What is over can be read earlier: the same estimate, but for the last samples, which have not come yet."""
     signals, _ = sample(record, 9)
     late = signals.with_columns(link_position=np.interp(signals.time - 6e-3, signals.time, signals["link_position"]))

@@ -179,7 +179,7 @@ def test_it_is_the_textbooks_filter(name, process, noise):
     assert loudest > record["high"]
 
 
-def test_at_one_count_the_torque_is_told_no_better_than_the_count_tells_it():
+def test_variance_of_the_torque_at_one_count_grows_to_the_counts():
     """A drive at rest: a count wide, uniform, through wave generator and flexspline in series; all of it from 0.1 s."""
     _, known = seen("plain")
     count, q = 4e-3, known.p
@@ -197,7 +197,7 @@ def test_at_one_count_the_torque_is_told_no_better_than_the_count_tells_it():
 
 
 @pytest.mark.parametrize("name", ["dynamics_ekf", "dynamics_ukf"])
-def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
+def test_a_delayed_link_encoder_makes_a_delayed_filter_that_predicts_to_now(name):
     """At the instant that the link encoder shows, it is the filter of an encoder that is not late; and now, not far from it."""
     delay, samples = 6e-3, 6
     signals, known = seen("plain")
@@ -206,10 +206,10 @@ def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
     n = len(signals.time)
     link = signals["link_position"]
     late = signals.with_columns(link_position=np.r_[np.full(samples, link[0]), link[:-samples]])
-    told = known.with_numbers(link_delay=delay)
+    delayed = known.with_numbers(link_delay=delay)
     estimator = registry.get(name)
     memories = []
-    for given, joint in ((signals, known), (late, told)):
+    for given, joint in ((signals, known), (late, delayed)):
         arrays, kept = estimator.step(joint, 1e-3).arrays(), []
         for k in range(n):
             sample = as_samples(given, (), joint)[k : k + 1]
@@ -230,7 +230,7 @@ def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
         state: np.array([behind[k][3][state] - prompt[k][1][state] for k in range(300, n)])
         for state in (MOTOR, LINK, LINK_RATE, EXTERNAL)
     }
-    active = estimator.process.record(told, 1e-3)[0]["active"].astype(int)
+    active = estimator.process.record(delayed, 1e-3)[0]["active"].astype(int)
     for state, most in ((MOTOR, 4e-4), (LINK, 2.5e-5), (LINK_RATE, 6e-3), (EXTERNAL, 0.8)):
         size = np.sqrt(np.mean(apart[state] ** 2))
         i = int(np.flatnonzero(active == state)[0])
@@ -242,7 +242,7 @@ def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
 
 
 @pytest.mark.parametrize("name", ["dynamics_ekf", "dynamics_ukf"])
-def test_from_the_late_instant_to_now_by_the_model_and_the_motor_encoder(name):
+def test_prediction_to_now_by_the_model_and_the_motor_encoder(name):
     """Sample by sample, through what the drive was given since: the external torque along the line through its last six delays,
     known as that; the covariance by the last Jacobian and the process noise, less by every reading of the motor encoder."""
     delay = 5.7e-3

@@ -47,7 +47,7 @@ def test_names_and_errors(known, signals):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_one_is_a_frozen_dataclass_that_says_what_it_is(name):
+def test_every_estimator_is_a_frozen_dataclass_with_a_description(name):
     estimator = registry.get(name)
     assert estimator.name == name and is_dataclass(estimator)
     with pytest.raises(FrozenInstanceError):
@@ -72,7 +72,7 @@ def test_finite_and_causal(name, known, signals):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_current_is_the_sensors_reading(name, known, signals):
-    """The paper's measurement goes by the drive's command where that is known; all others have the reading, to the bit."""
+    """The paper's measurement uses the drive's command if known; all others have the reading, to the bit."""
     estimator = registry.get(name)
     reading = estimator.estimate(signals.without("current_command"), known).mean
     assert np.isfinite(reading).all()
@@ -101,7 +101,7 @@ def test_no_estimator_reads_a_torque_sensor(name, known, signals):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_torque_sensors_gain_is_no_ones_business(name, known, signals):
+def test_a_torque_sensors_gain_does_not_change_estimates(name, known, signals):
     """Estimates are of the actual torque; what a sensor with gain, offset and drift would read is `as_read`."""
     record = known.record.copy()
     record["torque_gain"], record["torque_offset"], record["torque_rate"] = 1.1, 0.3, 0.1
@@ -135,7 +135,7 @@ WITH_EFFECTS = {
 
 @pytest.mark.parametrize("effects", [{}, WITH_EFFECTS], ids=["plain", "effects"])
 @pytest.mark.parametrize("name", CAUSAL)
-def test_in_the_loop_it_says_what_it_says_afterwards(name, effects):
+def test_estimates_in_the_loop_and_afterwards_are_equal(name, effects):
     """The command that the drive gave in the loop follows, to the bit, from the estimates over the signals of that loop."""
     seed, n, dt = 3, 600, loop.CONTROL_PERIOD
     known = KnownJoint.of(JOINT, MOUNTING).with_numbers(**effects)
@@ -159,9 +159,9 @@ def test_in_the_loop_it_says_what_it_says_afterwards(name, effects):
     assert np.std(found.mean) > 0.05
 
 
-def test_one_that_looks_ahead_cannot_be_fed_back(known):
+def test_a_smoother_cannot_be_fed_back(known):
     for name in set(NAMES) - set(CAUSAL):
-        with pytest.raises(InputError, match="looks ahead"):
+        with pytest.raises(InputError, match="got a smoother"):
             registry.get(name).step(known, 1e-3)
 
 
@@ -208,15 +208,15 @@ def test_known_joint_says_how_well(known):
     assert known.friction == pytest.approx(0.15) and known.link_zero == pytest.approx(1e-3)
 
 
-def test_what_a_diagnosis_found_stands_before_a_tolerance():
+def test_a_diagnosed_deviation_wins_over_a_tolerance():
     """Relative to the number, however large it is in its unit: Kt is 0.06 N·m/A, K2 9400 N·m/rad."""
     numbers = dict(JOINT.numbers)
     for name in ("Kt", "K2", "bw", "Fc"):
         numbers[name] = numbers[name].model_copy(update={"std": 0.013 * numbers[name].value})
     numbers["Kw0"] = numbers["Kw0"].model_copy(update={"value": 0.0, "std": 3.0})
     found = KnownJoint.of(JOINT.model_copy(update={"numbers": numbers}), record=KnownJoint.of(JOINT).record)
-    told = (found.spread.torque_constant, found.spread.stiffness, found.spread.viscous, found.friction)
-    assert told == pytest.approx((0.013,) * 4)
+    expected = (found.spread.torque_constant, found.spread.stiffness, found.spread.viscous, found.friction)
+    assert expected == pytest.approx((0.013,) * 4)
     assert found.spread.wave_generator == 0.0, "of nothing there is no share"
 
 
@@ -233,8 +233,8 @@ def described(**sensors: dict) -> Joint:
     return Joint.model_validate(raw)
 
 
-def test_errors_of_sensors_are_all_that_they_are_said_to_be():
-    """A sine has half its amplitude's square as mean square, a count a twelfth of its own; independent ones add up in power."""
+def test_errors_of_sensors_are_those_of_the_description():
+    """Mean squares: half of a sine's squared amplitude, a twelfth of a count's square; independent ones add up."""
     imperfect = {
         "flicker": 3e-3, "step": 1.2e-2, "ripple": {"order": 6.0, "amplitude": 8e-3},
         "vibration": {"frequency": 90.0, "amplitude": 5e-3},
@@ -254,7 +254,7 @@ def test_errors_of_sensors_are_all_that_they_are_said_to_be():
     assert noise.current_error == pytest.approx(np.sqrt(expected), rel=1e-5)
 
 
-def test_what_is_known_badly_is_what_the_description_says():
+def test_deviations_are_those_of_the_description():
     """By its tolerances, of either quadrature of the kinematic error half the power of what amplitude and phase leave; and the
     share of that which one asks for."""
     joint = described()
@@ -345,16 +345,16 @@ class Telling(Plain):
 
 @pytest.mark.parametrize("fails_at", [0, 1, 9, 10, 11, 57, 1999])
 @pytest.mark.parametrize("stretch", [2, 10, 2000])
-def test_a_divergence_is_told_the_same_beside_signals_as_after_them(known, signals, fails_at, stretch):
+def test_a_divergence_is_reported_alike_online_and_offline(known, signals, fails_at, stretch):
     """Sample, time and what the estimator said before, wherever the stretches' seams are; at the first sample nothing yet."""
     estimator = Telling(fails_at=fails_at)
     with pytest.raises(FilterDiverged) as whole:
         estimator.estimate(signals, known)
-    told = f"step {fails_at}, t = {signals.time[fails_at]:g} s"
+    expected = f"step {fails_at}, t = {signals.time[fails_at]:g} s"
     before = fails_at - 1
     said = [6.03 * signals["current_command"][before - 1] if before else 0.0, 0.5, 0.1, 2.0, before]
     said = [round(float(x), 6) for x in said] if fails_at else [0.0] * 5
-    assert told in str(whole.value) and str(said) in str(whole.value)
+    assert expected in str(whole.value) and str(said) in str(whole.value)
 
     samples = OnlineSamples(signals.time, signals.columns, known)
     online, message = OnlineEstimate(estimator, samples), ""
@@ -374,7 +374,7 @@ def test_a_divergence_is_told_the_same_beside_signals_as_after_them(known, signa
     assert message == str(whole.value)
 
 
-def test_a_step_in_python_that_fails_says_why(known, signals):
+def test_a_failing_python_step_gives_its_reason(known, signals):
     class Failing(Plain):
         compiled = PythonStep(lambda *records: 1 // 0, _plain.records)
 
@@ -412,8 +412,8 @@ def test_estimators_of_other_packages(monkeypatch, known, signals):
     plugins._offers.cache_clear()
     wrong = (
         ("broken", "ModuleNotFoundError: No module named 'nowhere'"),
-        ("none", "expected an Estimator, got list"),
-        ("renamed", "name: expected 'renamed', as it is offered, got 'foreign'"),
+        ("none", r"expected a subclass of flexspline.estimator.estimator.Estimator, got list"),
+        ("renamed", "name: expected 'renamed', its entry point, got 'foreign'"),
         ("failing", "TypeError: .*needed"),
     )
     try:

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import flexspline as fs
+from benchmarks.draws import geometric
 from benchmarks.independent import error, measured
 from flexspline.estimator import registry
-from flexspline.scenarios.evaluation.draws import geometric
 
 
 def ratios(seeds, imperfect, duration=None):
@@ -21,7 +21,7 @@ def ratios(seeds, imperfect, duration=None):
 def test_the_plant_balances():
     """At rest nothing moves, and the joint torque is what the weight asks for."""
     rng = np.random.default_rng(7)
-    drawn = plant.draw_motion(rng, plant.draw_joint(rng, tolerance=0.0, tared=True), "sweep", 6.0)
+    drawn = plant.draw_motion(rng, plant.draw_joint(rng, tolerance=0.0, zeroed=True), "sweep", 6.0)
     link, time = drawn.columns["link_position"], drawn.time
     acceleration = np.gradient(np.gradient(link, time), time)
     slow = np.convolve(
@@ -46,8 +46,8 @@ def test_drawn_joints(imperfect, mean, worst):
     "name",
     ["augmented", "momentum", "momentum_torsion", "dynamics_ekf", "dynamics_ukf", "rts_smoother", "payload_smoothed"],
 )
-def test_load_of_an_arm_reaches_who_uses_the_link_s_balance(arm, name):
-    """Nobody touches the shoulder: the median of the external torque is less than half of what it is without the elbow's."""
+def test_load_of_an_arm_reaches_estimators_with_the_links_balance(arm, name):
+    """Without contact at the shoulder, the median of the external torque is less than half of that without the elbow's."""
     signals, run = arm
     estimator, median = registry.get(name), {}
     for kind, some in (("alone", signals.without("arm_torque")), ("known", signals)):

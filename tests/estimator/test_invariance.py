@@ -58,7 +58,7 @@ def assert_alike(a, b, tolerance):
 @given(st.integers(0, 100), st.integers(-(2**20), 2**20))
 @example(8, 128)
 @example(52, 32768)
-def test_the_clocks_zero_says_nothing(seed, later):
+def test_the_clocks_zero_has_no_effect(seed, later):
     """Stamps and shift are binary fractions, so that not even the clock's resolution differs."""
     one = recording(seed)
     other = replace(one, time=one.time + later)
@@ -77,7 +77,7 @@ def units_of(channel):
     st.fixed_dictionaries({c: units_of(c) for c in ("time", "motor_position", "link_position", "motor_current")}),
     st.sampled_from([1, -1]),
 )
-def test_units_and_signs_of_a_log_say_nothing(tmp_path_factory, seed, units, sign):
+def test_units_and_signs_of_a_log_have_no_effect(tmp_path_factory, seed, units, sign):
     one = recording(seed)
     log = tmp_path_factory.mktemp("log") / "log.csv"
     columns = {
@@ -144,7 +144,7 @@ def test_covariances_of_any_model_are_covariances(data, n, m, rule):
 
 @pytest.mark.parametrize("rule", ["ekf", "arekf", "rarekf"])
 def test_states_that_are_known_exactly_stay_so_under_a_fading_factor(rule):
-    """P of rank one and no process noise: what rounding leaves beside it is multiplied by f_α in every step."""
+    """P of rank one and no process noise: its rounding error is multiplied by f_α in every step."""
     F = np.array([[1.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     model = FilterModel(
         F, np.ones((1, 3)), np.zeros((3, 3)), np.full((1, 1), 0.00390625 + 1e-3), np.diag([0.25, 0.0, 0.0])
@@ -163,7 +163,7 @@ def assert_covariances(found):
 @FEW
 @pytest.mark.parametrize("name", [name for name in CHEAP if get(name).needs])
 @given(st.integers(0, 2**31), st.floats(0.0, 3.0), st.floats(0.1, 10.0))
-def test_what_an_estimator_believes_of_its_error_is_a_variance(name, seed, amplitude, pulsation):
+def test_variances_of_estimators_are_positive(name, seed, amplitude, pulsation):
     time = np.arange(300) * 1e-3
     noise = np.random.default_rng(seed).standard_normal((3, 300))
     motor = 100 * amplitude * np.sin(pulsation * time) + 1e-3 * noise[0]

@@ -1,8 +1,8 @@
-"""What is known of a joint reaches every estimator: told of an effect, it is as good as on the joint without it.
+"""What is known of a joint reaches every estimator: with a known effect, it is as good as on the joint without it.
 
 Every known cause at the middle of its ordinary size, what a record can say beyond them, and a model discrepancy at every
 place, each in draws of a sweep (start, way, time, noise, and phases or signs of the effect), without and with a smooth push.
-RMS error against the true joint torque over three draws, at most `LIMIT` times what it is without the effect; `augmented`: the
+RMS error against the true joint torque over three draws, at most `LIMIT` times that without the effect; `augmented`: the
 geometric mean of that ratio over thirteen. Where physics does not allow that, `EXCEPTIONS` says why, and what was measured.
 """
 
@@ -21,7 +21,7 @@ CAUSAL = tuple(name for name in registry.names() if registry.get(name).causal)
 CHEAP = tuple(name for name in CAUSAL if not registry.get(name).costly)
 DOUBTFUL = "augmented"
 MORE = (*DRAWS, *range(21, 31))
-"""Of the filter that takes a torque for a push or for an error of its numbers: which of both can hang on rounding, so that one
+"""Of the filter that takes a torque for a push or for an error of its numbers: rounding may decide which, so that one
 draw in three would decide."""
 BLIND = {"payload"}
 """Estimators that a push leads astray by construction: they take it for a payload."""
@@ -186,7 +186,7 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
 @pytest.mark.fast_every(16)  # of every eighth case the sweep
 @pytest.mark.parametrize("push", [False, True], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
-def test_told_of_an_effect(case, push):
+def test_known_effect(case, push):
     check(case, push, CHEAP)
 
 
@@ -197,14 +197,14 @@ FEW = [pytest.param(case, marks=pytest.mark.long) if i % 6 else case for i, case
 @pytest.mark.slow
 @pytest.mark.parametrize("push", [False, PUSHED], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", FEW, ids=[case.name for case in CASES])
-def test_told_of_an_effect_with_the_dynamics(case, push):
+def test_known_effect_with_the_dynamics(case, push):
     check(case, push, tuple(name for name in CAUSAL if name not in CHEAP))
 
 
 @pytest.mark.fast_every(5)
 @pytest.mark.parametrize("name", READ)
-def test_told_of_an_effect_with_the_reading_alone(name):
-    """Where no command is known the reading stands for the current, with what is known of its error taken off."""
+def test_known_effect_with_the_reading_only(name):
+    """Without a known command the reading, less its known error, is used."""
     (case,) = (case for case in CASES if case.name == name)
     check(case, False, CHEAP, command=False)
 
@@ -219,15 +219,15 @@ def test_told_of_an_effect_with_the_reading_alone(name):
     ("load_dependent_friction", "current", 4.0), ("friction_temperature", "current", 1.5),
     ("discrepancy_mesh", "current", 1.7), ("link_flexibility", "dynamics_ekf", 1.2),
 ])  # fmt: skip
-def test_not_told_of_it(name, estimator, worse):
+def test_unknown_effect(name, estimator, worse):
     """The same effects, kept from the estimator: that they are ordinary does not make them small."""
     (case,) = (case for case in CASES if case.name == name)
     draws = DRAWS[:1]
-    told = errors(registry.get(estimator), case, False, draws)[0]
-    ignorant = errors(registry.get(estimator), case, False, draws, told=NONE)[0]
-    print(name, estimator, told, ignorant)
+    informed = errors(registry.get(estimator), case, False, draws)[0]
+    ignorant = errors(registry.get(estimator), case, False, draws, known_as=NONE)[0]
+    print(name, estimator, informed, ignorant)
     assert ignorant > worse * errors(registry.get(estimator), NONE, False, draws)[0]
-    assert ignorant > told
+    assert ignorant > informed
 
 
 def test_no_exception_is_idle():

@@ -66,7 +66,7 @@ def test_it_is_the_spline_of_least_roughness(irregular, cutoff, rng):
 
 @pytest.mark.parametrize("step", [1e-3, 2e-2])
 def test_a_recording_may_begin_in_motion(step):
-    """Of a motion without jerk the smoother leaves everything as it is, from the first sample to the last."""
+    """Of a motion without jerk the smoother changes nothing, from the first sample to the last."""
     time = step * np.arange(2000)
     s = smooth(time, (0.3 + 2.0 * time + 1.5 * time**2)[:, None], step)
     np.testing.assert_allclose(s.value[:, 0], 0.3 + 2.0 * s.time + 1.5 * s.time**2, rtol=1e-4)
@@ -101,7 +101,7 @@ def test_the_smoother_is_linear_and_the_same_for_every_channel():
 
 
 @pytest.mark.parametrize("irregular", [False, True])
-def test_blocks_change_no_bit_and_every_channel_is_smoothed_as_if_alone(irregular):
+def test_blocks_and_other_channels_change_no_bit(irregular):
     rng = np.random.default_rng(3)
     for n in (2, 3, 100, 1003):
         time = 50.0 + (np.cumsum(rng.uniform(2e-4, 2e-3, n)) if irregular else 1e-3 * np.arange(n))
@@ -116,7 +116,7 @@ def test_blocks_change_no_bit_and_every_channel_is_smoothed_as_if_alone(irregula
         assert np.array_equal(alone.acceleration[:, 0], whole.acceleration[::3, 1])
 
 
-def test_derivatives_of_the_first_channels_alone_are_the_same():
+def test_derivatives_of_the_first_channels_only_are_the_same():
     rng = np.random.default_rng(4)
     time, channels = 1e-3 * np.arange(300), rng.standard_normal((300, 3))
     every, first = smooth(time, channels, 1e-3), smooth(time, channels, 1e-3, moving=2)

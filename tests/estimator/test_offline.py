@@ -29,7 +29,8 @@ from flexspline.estimator.payload_model import MEMORY
 from flexspline.estimator.smoothed import bandwidth, white_noise
 from flexspline.models import dynamics, laws
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Effect, Estimate, Uncertainty, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Effect, Estimate, Uncertainty
 from flexspline.models.recording import Recording, read_measurement
 from flexspline.models.tables import read_table
 
@@ -64,10 +65,10 @@ def test_the_sensor_columns_are_not_read(sweep, joint):
     assert set(blind.torque) == set(names()) and not blind.left_out
     seeing = estimate_recording(part(cut, slice(0, 4000), joint_torque=7 + cut.time), joint)
     columns = {**cut.columns, "external_torque": np.full(4000, 3.0)}
-    told = estimate_recording(replace(cut, columns=columns, external="measured"), joint)
+    informed = estimate_recording(replace(cut, columns=columns, external="measured"), joint)
     for name in names():
         np.testing.assert_array_equal(blind.torque[name], seeing.torque[name])
-        np.testing.assert_array_equal(blind.external_torque[name], told.external_torque[name])
+        np.testing.assert_array_equal(blind.external_torque[name], informed.external_torque[name])
 
 
 def test_an_exact_joint_is_estimated_to_the_sensors_noise(sweep, joint, tmp_path):
@@ -107,7 +108,7 @@ def test_a_drift_counts_from_the_recordings_start(free, joint):
     warm = joint.model_copy(update={"effects": [effect]})
     whole = estimate_recording(free, warm, ["current_smoothed", "current"])
     cut = part(free, free.time > 10.0)
-    cut = replace(cut, time=np.r_[0.0, cut.time[1:]])  # the sample before the gap is a segment of its own, too short
+    cut = replace(cut, time=np.r_[0.0, cut.time[1:]])  # the sample before the gap is a separate segment, too short
     after = estimate_recording(cut, warm, ["current_smoothed", "current"])
     middle = slice(3000, 8000)
     n = len(cut.time)
@@ -115,7 +116,7 @@ def test_a_drift_counts_from_the_recordings_start(free, joint):
         assert np.allclose(whole.torque[name][-n:][middle], after.torque[name][middle], atol=0.05), name
 
 
-def test_a_drive_that_tells_its_torque(free, joint):
+def test_a_drive_that_reports_its_torque(free, joint):
     columns = dict(free.columns)
     columns["motor_torque"] = columns.pop("motor_current") * joint.numbers["Kt"].value
     cut = part(replace(free, columns=columns), slice(0, 6000))
@@ -133,7 +134,7 @@ def test_estimates_in_files_are_those_in_memory(free, joint, tmp_path, monkeypat
     names = list(CHEAP)
     held = estimate_recording(cut, joint, names)
     monkeypatch.setattr("flexspline.estimator.offline._LONG", 100)
-    waiting = estimate_recording(cut, joint, names, spool=tmp_path)
+    waiting = estimate_recording(cut, joint, names, folder=tmp_path)
     assert list(waiting.torque) == list(held.torque) == names
     for name, values in held.columns.items():
         assert waiting.columns[name].tobytes() == values.tobytes()
@@ -169,7 +170,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("missing", ["link_position", "motor_position"])
-def test_the_encoder_that_is_not_there_reads_what_the_torque_winds(missing, sweep, joint):
+def test_the_missing_encoder_follows_from_the_torque(missing, sweep, joint):
     """Through everything that is known of both: torsion of the angles behind the readings is that of the torque, of the current
     where the rotor's angle is read, of the link's own motion otherwise."""
     known = KnownJoint.of(joint, sweep.link).with_numbers(**ODD)
@@ -239,7 +240,7 @@ def test_a_band_is_two_sided(rng):
     assert list(columns) == ["time", "torque_x", "torque_x_low", "torque_x_high", "external_torque_x"]
 
 
-def test_estimators_from_current_see_no_more_than_its_noise_allows(free, joint):
+def test_bandwidth_of_estimators_from_current_is_limited_by_noise(free, joint):
     """Their low-pass is no faster than the bandwidth that the readings have; where that is below 15 Hz, three fifths as fast and
     without lag."""
     known = KnownJoint.of(joint, free.link)
@@ -260,7 +261,7 @@ def test_neither_current_nor_torque(free, joint):
 
 
 @pytest.mark.parametrize("gone", [(), ("link_position",), ("motor_position",), ("motor_current",), ("motor_torque",)])
-def test_what_a_recording_lacks_is_known_before_it_is_estimated(sweep, joint, gone):
+def test_missing_channels_are_known_before_estimation(sweep, joint, gone):
     recording = part(sweep, slice(0, 4000)).without(*gone)
     if gone == ("motor_torque",):  # in its place
         columns = {**recording.columns, "motor_torque": joint.numbers["Kt"].value * recording["motor_current"]}
@@ -272,7 +273,7 @@ def test_what_a_recording_lacks_is_known_before_it_is_estimated(sweep, joint, go
     assert not lacking(part(recording, slice(0, SHORTEST - 1)), names())
 
 
-def test_an_estimator_that_cannot_is_left_out(free, joint):
+def test_a_diverging_estimator_is_left_out(free, joint):
     """At 40 Hz there is no low-pass of 30 Hz; the others go on."""
     slow = part(free, slice(0, None, 25))
     found = estimate_recording(slow, joint, ["lowpass", "model", "current"])
@@ -293,10 +294,10 @@ def test_known_effects_of_the_link_encoder(free, joint):
             parameters={"amplitude": Estimate(value=5e-4), "phase": Estimate(value=0.4)},
         ),
     ]
-    told = joint.model_copy(update={"effects": effects})
+    informed = joint.model_copy(update={"effects": effects})
     chosen = ("model", "EKF", "kalman", "momentum_torsion", "dynamics_ekf")
     before = score(free, estimate_recording(free, joint, chosen), joint)["joint_torque"]
-    after = score(spoiled, estimate_recording(spoiled, told, chosen), told)["joint_torque"]
+    after = score(spoiled, estimate_recording(spoiled, informed, chosen), informed)["joint_torque"]
     blind = score(spoiled, estimate_recording(spoiled, joint, chosen), joint)["joint_torque"]
     for name in chosen:
         print(name, before[name].rms, after[name].rms, blind[name].rms)
@@ -348,7 +349,7 @@ def test_the_zero_is_the_most_probable_one(rng):
     np.testing.assert_allclose(std, np.sqrt(np.diag(of_zero - gain @ of_zero)), rtol=1e-6)
 
 
-def test_a_start_that_shakes_does_not_set_the_zero(rng):
+def test_a_shaky_start_does_not_set_the_zero(rng):
     """A tenth of the samples are ten times as far off as their noise says: they count accordingly."""
     n = 500
     compliance, direction = np.full(n, 1e-4), np.where(np.arange(n) // 100 % 2, -1.0, 1.0)
@@ -377,7 +378,7 @@ def test_a_joint_at_rest(rng, joint):
     assert all(np.isfinite(values).all() for values in found.columns.values())
 
 
-def test_a_band_holds_what_two_sensors_do_not_agree_on(free, joint):
+def test_a_band_contains_the_disagreement_of_two_sensors(free, joint):
     """Of an exact joint whose link encoder jumps: the band of the current's estimate is then as wide as both are apart, and that
     of a filter which believes to be off by σ at least that."""
     exact = joint.model_copy(update={"uncertainty": Uncertainty(names=["Kt"], factor=[[1e-9]], discrepancy={})})
@@ -400,8 +401,8 @@ def test_a_band_holds_what_two_sensors_do_not_agree_on(free, joint):
 @pytest.mark.fast_every(2)
 @pytest.mark.parametrize("column", ["link_position", "motor_position"])
 @pytest.mark.parametrize("first", [0, 3])
-def test_of_an_encoder_that_is_held_the_torsion_is_held(column, first):
-    """On a bus of 125 Hz beside a log of 1 kHz: an angle 8 ms old was a torsion of newton metres, and RAREKF 2.4 N·m off."""
+def test_a_held_encoder_is_filled_in_for_torsion(column, first):
+    """On a bus of 125 Hz in a log of 1 kHz: an angle 8 ms old was a torsion of newton metres, and RAREKF 2.4 N·m off."""
     drawn = draw(Challenge(seed=11, hidden="none", exact=True, scenarios=("link_sweep",)), 0)
     (r,) = drawn.measurement.recordings
     r = r.at(slice(0, 12000))

@@ -48,7 +48,7 @@ def test_an_update_is_kalmans(rng, p, velocity, own):
     P, at = A @ A.T, np.array([2.0, -1.0, 0.3, 0.5])
     x = np.append(at + 0.1 * rng.standard_normal(4), 0.2)
     w = p["N"] * velocity
-    # Sliding friction without load, its bristle where it stands still at that velocity; viscous friction.
+    # Sliding friction without load, its bristle steady at that velocity; viscous friction.
     g = p["Fc"] + (p["Fs"] - p["Fc"]) * np.exp(-((w / p["vs"]) ** 2))
     z = g / p["s0"] * np.tanh(w)
     friction = p["s0"] * z + p["s1"] * (w - p["s0"] * abs(w) / g * z) + p["bw"] * w
@@ -67,7 +67,7 @@ def test_an_update_is_kalmans(rng, p, velocity, own):
     np.testing.assert_allclose(P, covariance, rtol=1e-6, atol=1e-8)
 
 
-def test_what_is_not_known_at_first(known):
+def test_prior(known):
     """A payload of 0.7 rated torques, its inertia as a metre away; friction off by its tolerance, a twentieth at least."""
     mean, deviation = prior(known).T
     moment = 0.7 * known.rated_torque
@@ -94,13 +94,13 @@ def test_torque_of_a_payload():
     assert external_torque(x, 0.3, 4.0) == pytest.approx(2.0 * np.sin(0.3) + 3.0 * np.cos(0.3) - 0.5 * 4.0)
 
 
-def test_near_rest_friction_is_anything_up_to_its_level(known):
+def test_friction_near_rest_is_unknown_up_to_its_level(known):
     assert slow_friction(0.0, known.p) == pytest.approx(4.0 * known.p["N"] * known.p["Fc"])
     ratio = slow_friction(-8.0 * known.p["vs"], known.p) / slow_friction(0.0, known.p)
     assert ratio == pytest.approx(np.exp(-2.0))
 
 
-def test_what_is_forgotten_returns_to_its_prior(rng):
+def test_forgetting_returns_to_the_prior(rng):
     A = rng.standard_normal((SIZE, SIZE))
     x, P = rng.standard_normal(SIZE), A @ A.T
     D = np.diag([1.0, 1.0, 1.0, 1.0, 0.3])

@@ -82,6 +82,6 @@ def test_plain_python_gives_the_compiled_steps_bits():
 
 
 @pytest.mark.parametrize("feedback", ["none", "failing"])
-def test_what_fails_in_plain_python_is_said(feedback):
+def test_a_failure_in_plain_python_is_reported(feedback):
     with pytest.raises(FilterDiverged, match=r"'failing' .*t = 0\.01 s.* its step failed: ZeroDivisionError"):
         fs.simulate("external_push", duration=1.5, filters=["failing"], feedback=feedback)

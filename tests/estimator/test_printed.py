@@ -50,7 +50,7 @@ def test_printed_alpha_works_backwards(rng):
 
 
 def test_inverse_alpha_is_what_the_figures_show(rng):
-    """α = max(1, 1/(kω²)): optimal mode without load, whatever the innovations; AREKF under load."""
+    """α = max(1, 1/(kω²)): optimal mode without load, for any innovations; AREKF under load."""
     inverse = PaperFilter(alpha="inverse")
     quiet = run(inverse, np.r_[np.zeros(50), 1e-3 * rng.standard_normal(500)])
     assert np.isfinite(quiet.torque).all() and not quiet.robust.any()
@@ -106,7 +106,7 @@ def test_gamma_too_small():
 
 
 @pytest.mark.parametrize("L", [1.0, 3.0])
-def test_a_little_more_than_the_gamma_that_is_asked_for_is_enough(L, known, signals):
+def test_slightly_more_than_the_reported_gamma_is_enough(L, known, signals):
     """At the step that failed, over measurements and in the estimator alike."""
     settings = PaperFilter(rule="robust", gamma=0.01, L=L)
     torque = get("model").estimate(signals, known).mean
@@ -138,7 +138,7 @@ def test_unstable_model_ends_in_the_exception():
 
 
 def test_unobserved_state_grows_without_bound(rng):
-    """Σ = f_α·P inflates what no measurement sees, too: a limit of the method, told and not NaN."""
+    """Σ = f_α·P inflates unobserved directions, too: a limit of the method, reported and not NaN."""
     model = FilterModel(np.eye(2), [[1.0, 0.0]], 0.01 * np.eye(2), [[1.0]], [[1.0, 0.5], [0.5, 1.0]])
     y = 3.0 * rng.standard_normal(5000)
     assert np.isfinite(run(PaperFilter(rule="ekf"), y, model=model, initial_state=np.zeros(2)).x).all()

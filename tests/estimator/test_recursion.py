@@ -300,7 +300,7 @@ def test_surprise_is_the_likelihood_of_the_innovations(rng):
 @pytest.mark.parametrize(
     "model", [None, FilterModel(np.eye(2), np.array([[1.0, 0.0]]), np.eye(2), np.eye(1), 2.0 * np.eye(2))]
 )
-def test_of_one_measurement_there_is_the_start_alone(model):
+def test_one_measurement_gives_the_start_only(model):
     found = run(
         PaperFilter(), np.array([3.0]), model=model, initial_state=None if model is None else np.array([3.0, 1.0])
     )

@@ -1,7 +1,7 @@
 """Settings of the filters have the dimensions of what they are: in the joint's torques, and in the motor side's angles.
 
 Nothing is compiled here. A number of the joint that comes in upside down, or with another exponent, shows as another power; one
-that is added to what it is no like of shows as none.
+that is added to a different quantity shows none.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ RANDOM = {
 }  # fmt: skip
 
 
-def known(torque: float = 1.0, angle: float = 1.0, **told: float) -> KnownJoint:
+def known(torque: float = 1.0, angle: float = 1.0, **numbers: float) -> KnownJoint:
     """The test joint in other units, with effects and spread."""
-    joint = KnownJoint.of(JOINT, JOINT.mount("link"), RICH.record(3)).with_numbers(**told)
+    joint = KnownJoint.of(JOINT, JOINT.mount("link"), RICH.record(3)).with_numbers(**numbers)
     noise = replace(NOISE, **{n: angle * getattr(NOISE, n) for n in ("motor_resolution", "motor_noise", "motor_error")})
     spread = replace(joint.spread, stiffness=0.07, kinematic=np.where(joint.p["amplitude"] != 0.0, 2e-5, 0.0))
     joint = replace(
@@ -137,7 +137,7 @@ def test_independent_errors_of_sensors_add_up_in_power(name, delay):
     np.testing.assert_allclose(twice - none, 4.0 * (together - none), rtol=1e-9)
 
 
-def test_what_is_known_badly_is_a_prior():
+def test_deviations_are_priors():
     """Deviations of the description's numbers are the constants' own; of kinematic error the largest orders'."""
     joint = known()
     kinematic = np.zeros(8)
@@ -163,11 +163,11 @@ def test_what_is_known_badly_is_a_prior():
     assert c["prior"][augmented.COUNT] == pytest.approx(NOISE.motor_resolution / joint.p["N"] / np.sqrt(12.0))
 
 
-def test_states_that_a_joint_has_not_are_not_carried():
+def test_absent_states_are_not_carried():
     process = joint_model.ProcessNoise()
 
-    def active(process: joint_model.ProcessNoise = process, **told: float) -> set[str]:
-        n = process.record(known(**told), 1e-3)[0]
+    def active(process: joint_model.ProcessNoise = process, **numbers: float) -> set[str]:
+        n = process.record(known(**numbers), 1e-3)[0]
         return {joint_model.STATES[int(i)] for i in n["active"][: int(n["count"])]}
 
     plain = {"flexible_share": 0.0, "hysteresis_torque": 0.0}
@@ -262,7 +262,7 @@ def test_sizes_of_the_dynamics_filters():
         assert n[name] == pytest.approx(value, rel=1e-9), name
 
 
-def test_an_error_of_the_current_that_lasts_counts_for_as_long():
+def test_a_correlated_error_of_the_current_has_a_larger_variance():
     """10 ms: of samples that are 1 ms apart ten go the same way and move a rotor as far as ten times the variance; none is of
     less than a sample; without an interval noise is all that is known."""
     quiet = replace(NOISE, current_noise=0.0)

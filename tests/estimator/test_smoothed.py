@@ -72,7 +72,7 @@ def test_torque_from_current_from_torsion_and_of_the_link_agree(effects):
     np.testing.assert_allclose(smoothed.wound(by_torsion, joint)[loaded], torsion[loaded], atol=1e-9)
 
 
-def test_a_link_that_is_not_rigid_asks_for_another_torque():
+def test_a_flexible_link_needs_another_torque():
     """A share on a spring of 14 Hz, far above the motion: the torque of all of it, swinging with the rest."""
     joint = known().with_numbers(flexible_share=0.3, flexible_frequency=14.0, flexible_damping=0.2)
     signals, torque = moving(joint.with_numbers(flexible_share=0.0))
@@ -83,14 +83,14 @@ def test_a_link_that_is_not_rigid_asks_for_another_torque():
 
 
 @pytest.mark.parametrize("delay", [6e-3, 6.4e-3, 0.05])
-def test_a_late_encoder_is_read_where_its_readings_are_of(delay):
+def test_a_delayed_encoder_is_shifted_in_time(delay):
     """What is over can be read earlier; what had not come yet when the recording ended moves as the rotor has since, or stays."""
     joint = known().with_numbers(link_delay=delay)
     time = 2.0 + TIME[:1000]
     link, motor = np.sin(3.0 * time), 100.0 * np.cos(2.0 * time)
     late = Signals(time, {"link_position": np.sin(3.0 * (time - delay)), "motor_position": motor})
-    found, told = smoothed.in_time(late, joint)
-    assert told.p["link_delay"] == 0.0 and np.array_equal(found["motor_position"], motor)
+    found, in_phase = smoothed.in_time(late, joint)
+    assert in_phase.p["link_delay"] == 0.0 and np.array_equal(found["motor_position"], motor)
     last = time[-1] - delay
     come = time <= last
     np.testing.assert_allclose(found["link_position"][come], link[come], atol=2e-6)  # between samples along a chord

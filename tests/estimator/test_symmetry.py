@@ -37,7 +37,7 @@ BEYOND = (
     ("rotor", "load", 20.0, 4e-3), ("motor_current", "load", 20.0, 0.04), ("link", "load", 20.0, 0.3),
     ("mesh", "load", 20.0, 4e-3),
 )  # fmt: skip
-"""Model discrepancies of the rich joint by the load, of no symmetry of their own: place, range [N·m], size."""
+"""Model discrepancies of the rich joint by the load, without symmetry: place, range [N·m], size."""
 SPREAD = {
     "stiffness": 0.07,
     "wave_generator": 0.1,
@@ -133,7 +133,7 @@ def test_torques_scale_with_the_joint(name, case):
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith("payload") and name != "augmented"])
-def test_the_motor_sides_unit_of_angle_is_no_ones_business(name):
+def test_the_motor_sides_unit_of_angle_has_no_effect(name):
     """But for those that state a velocity of the motor: to learn a payload from, or as what a recording may begin with."""
     signals, known = seen("plain")
     noise = known.noise
@@ -149,7 +149,7 @@ def test_the_motor_sides_unit_of_angle_is_no_ones_business(name):
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("name", NAMES)
-def test_a_joint_turned_round_has_the_same_torques_the_other_way(name, case):
+def test_a_reversed_joint_has_the_reversed_torques(name, case):
     """Angles, currents, phases and offsets of the other sign: to the bit, but for those that take differences forwards; where a
     place on a discrepancy's grid is counted from its other end, to rounding."""
     signals, known = seen(case)

@@ -26,18 +26,10 @@ def of(time, motor, link, current) -> Signals:
     return Signals(time, columns)
 
 
-def told(known, **values):
-    """The same joint with other numbers in its record."""
-    record = known.record.copy()
-    for name, value in values.items():
-        record[name] = value
-    return replace(known, record=record)
-
-
 @pytest.mark.parametrize("name", ["current", "current_smoothed"])
 def test_current_at_constant_speed(name, known):
     """N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, once transients are over."""
-    joint = told(known, amplitude=0.0)
+    joint = known.with_numbers(amplitude=0.0)
     w, i, time = 20.0, 1.5, np.arange(1000) * 1e-3
     signals = of(time, w * time, w / 100 * time, np.full(1000, i))
     torque = get(name).estimate(signals, joint).mean[-1]
@@ -49,7 +41,7 @@ def test_current_at_constant_speed(name, known):
 
 def test_a_lead_follows_a_ramp_without_lag(known):
     """Of a current that rises evenly: a lag of √2/ω without lead, none with it."""
-    joint = told(known, amplitude=0.0)
+    joint = known.with_numbers(amplitude=0.0)
     time = np.arange(3000) * 1e-3
     w, slope = 20.0, 0.5
     signals = of(time, w * time, w / 100 * time, slope * time)
@@ -76,7 +68,7 @@ def test_compliance_model(known, signals):
 @pytest.mark.parametrize("name, order", [("lowpass", 2), ("lowpass_first_order", 1)])
 def test_lowpass(name, order, known, signals):
     """Gain 1/√2 at the cutoff, the closed form of a Butterworth filter; and scipy's direct form on any signal."""
-    joint = told(known, amplitude=0.0)
+    joint = known.with_numbers(amplitude=0.0)
     time = np.arange(4000) * 1e-3
     at_cutoff = of(time, 0 * time, -1e-4 * np.sin(2 * np.pi * 20 * time), 0 * time)
     torque = replace(get(name), cutoff=20.0).estimate(at_cutoff, joint).mean[-1000:]
@@ -204,7 +196,7 @@ def test_momentum_observer(known):
     """A joint without friction under constant current and push: first-order lags with the closed form 1 − exp(−K t);
     the external torque is De Luca's residual of the joint as one rigid body."""
     none = dict.fromkeys(("Fc", "Fs", "bm", "bw", "bl", "Mg", "amplitude", "s1"), 0.0)
-    joint = told(known, **none, s0=1e-9)
+    joint = known.with_numbers(**none, s0=1e-9)
     q = joint.p
     N, J = q["N"], q["Jl"] + q["N"] ** 2 * (q["Jm"] + q["Jw"])
     i, push, h = 0.5, 3.0, 1e-4
@@ -230,13 +222,13 @@ def test_momentum_observer(known):
 
 
 @pytest.mark.parametrize("name", ["momentum", "momentum_torsion", "current", "current_smoothed"])
-def test_power_passes_the_gear_whatever_its_kinematic_error(name, known):
+def test_power_passes_the_gear_with_any_kinematic_error(name, known):
     """Without friction and inertia what the current puts in comes out: Kt·i·ωm = T·ωl, ωl where the torsion is that of no torque.
     A kinematic error by which the ratio goes up and down by a fifth, passed slowly."""
     none = dict.fromkeys(("Fc", "Fs", "bm", "bw", "bl", "Mg", "s1", "Jl", "Jm", "Jw"), 0.0)
     amplitude = np.zeros(8)
     amplitude[0] = 0.2 / (known.p["N"] * known.p["order"][0])
-    joint = told(known, **none, s0=1e-9, amplitude=amplitude, Kw0=1e9)
+    joint = known.with_numbers(**none, s0=1e-9, amplitude=amplitude, Kw0=1e9)
     time, w, i = np.arange(4000) * 1e-3, 2.0, 0.4
     motor = w * time
     torsion = compliance(motor, motor / joint.p["N"], 0 * time, joint.record).flexspline_torsion
@@ -252,7 +244,7 @@ def test_power_passes_the_gear_whatever_its_kinematic_error(name, known):
 
 
 def test_momentum_torsion_follows_torsion_at_rest(known):
-    """At rest a change of torsion is a change of torque, whatever the current says."""
+    """At rest a change of torsion is a change of torque, for any current."""
     time = np.arange(2000) * 1e-3
     link = np.where(time > 1.0, -1e-4, 0.0)
     ours = get("momentum_torsion").estimate(of(time, 0 * time, link, 0 * time), known).mean
@@ -262,7 +254,7 @@ def test_momentum_torsion_follows_torsion_at_rest(known):
 @pytest.mark.parametrize("name", ["momentum", "momentum_torsion"])
 def test_momentum_takes_friction_off(name, known):
     """At constant speed N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, and no external torque but what gravity is short of."""
-    joint = told(known, amplitude=0.0)
+    joint = known.with_numbers(amplitude=0.0)
     q, time = joint.p, np.arange(3000) * 1e-3
     for w in (20.0, -20.0):
         i = 1.5 * np.sign(w)
@@ -290,7 +282,7 @@ def test_momentum_observers_velocity_has_the_stated_cutoff(known):
 @pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
 def test_momentum_torsion_goes_over_to_the_observer(speed, known):
     """At an even speed, in Stribeck velocities: the observer's weight settles on ω²/(ω² + ω₀²) with the stated time constant."""
-    joint = told(known, amplitude=0.0)
+    joint = known.with_numbers(amplitude=0.0)
     time, w, smoothing = np.arange(1500) * 1e-3, speed * joint.p["vs"], 0.15
     signals = of(time, w * time, w * time / 100 - 1e-4, np.full(1500, 0.8))
     settings = {"turning": 1.0, "smoothing": smoothing, "follow": 1e12, "cutoff": 1e6}
@@ -305,7 +297,7 @@ def test_momentum_torsion_goes_over_to_the_observer(speed, known):
 
 def test_momentum_torsions_offset_follows_while_it_turns(known):
     """Turning, the torsion's offset goes to what the observer says, slower where that counts for less; at rest it holds."""
-    joint = told(known, amplitude=0.0)
+    joint = known.with_numbers(amplitude=0.0)
     time, w, follow = np.arange(4000) * 1e-3, joint.p["vs"], 0.4
     turning = np.minimum(time, 2.5)
     signals = of(time, w * turning, w * turning / 100 - 1e-4, np.full(4000, 0.8))
@@ -339,8 +331,8 @@ def with_a_payload(joint) -> tuple[Signals, np.ndarray, np.ndarray]:
 
 
 def test_observers_find_a_payload(known):
-    """A rigid payload that moves with the joint, its torque in the current: its moments, whatever the link's own."""
-    joint = told(known, amplitude=0.0)
+    """A rigid payload that moves with the joint, its torque in the current: its moments, for any weight of the link."""
+    joint = known.with_numbers(amplitude=0.0)
     signals, torque, payload = with_a_payload(joint)
     late = signals.time > 4.0
     for name in ("payload", "payload_smoothed"):
@@ -353,16 +345,16 @@ def test_observers_find_a_payload(known):
 
 @pytest.mark.parametrize("place", ["motor_current", "rotor"])
 @pytest.mark.parametrize("name", ["current", "current_smoothed", "momentum", "payload_smoothed"])
-def test_what_goes_with_the_load_is_taken_off_by_the_load(name, place, known):
-    """A current sensor that reads 30 mA more for every newton metre, or a rotor that gets 2 mN·m more: told of it as a model
+def test_discrepancies_over_the_load_are_corrected(name, place, known):
+    """A current sensor that reads 30 mA more for every newton metre, or a rotor that gets 2 mN·m more: known as a model
     discrepancy in the load, estimates are those of a joint without, though a fifth of the current is wrong."""
-    joint = told(known, amplitude=0.0)
+    joint = known.with_numbers(amplitude=0.0)
     signals, torque, _ = with_a_payload(joint)
     load = torque + joint.p["bl"] * np.gradient(signals["link_position"], signals.time)
     per = {"motor_current": 0.03, "rotor": 2e-3}[place]
     wrong = per * load if place == "motor_current" else -per * load / joint.p["Kt"]
     spoiled = signals.with_columns(motor_current=signals["motor_current"] + wrong)
-    aware = told(joint)
+    aware = joint.with_numbers()
     put_discrepancy(
         aware.p, place, "load", -40.0, 40.0, per * 40.0 * np.arange(-2.0, 3.0)
     )  # a straight line, its ends beyond
@@ -372,5 +364,5 @@ def test_what_goes_with_the_load_is_taken_off_by_the_load(name, place, known):
         estimator.estimate(s, j).mean[late] for s, j in ((signals, joint), (spoiled, aware), (spoiled, joint))
     )
     off, without = (np.sqrt(np.mean((x - expected) ** 2)) for x in (found, blind))
-    print(f"{name}, {place}: {off:.4f} N·m, not told {without:.3f} N·m")
+    print(f"{name}, {place}: {off:.4f} N·m, unknown {without:.3f} N·m")
     assert off < 0.05 * without

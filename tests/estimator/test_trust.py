@@ -1,4 +1,4 @@
-"""An estimate that runs away is marked, with the reason, wherever it is given; one that works is not."""
+"""A diverging estimate is marked with the reason everywhere; a good one is not."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ FILTERS = ["RAREKF", "dynamics_ekf", "augmented"]
      {"sensors.motor_current.noise": 100}, {"known_joint": "csg-40-120-ilm115"}],
     ids=str,
 )  # fmt: skip
-def test_what_runs_away_is_marked(change):
+def test_a_diverging_estimate_is_marked(change):
     run = fs.simulate("link_sweep", duration=8, filters=FILTERS, **change)
     truth = run.truth("joint_torque")
     rated = run.known.rated_torque
@@ -30,7 +30,7 @@ def test_what_runs_away_is_marked(change):
 
 
 @pytest.mark.parametrize("scenario", ["no_load", "link_sweep", "external_push"])
-def test_what_works_is_trusted(scenario):
+def test_a_good_estimate_is_trusted(scenario):
     run = fs.simulate(
         scenario, sensors="realistic", filters=["RAREKF", "EKF", "augmented", "current", "momentum_torsion"]
     )
@@ -38,7 +38,7 @@ def test_what_works_is_trusted(scenario):
 
 
 @pytest.mark.parametrize("block", [1, 7, 500, 5000])
-def test_blocks_decide_nothing(block):
+def test_blocks_have_no_effect(block):
     rng = np.random.default_rng(5)
     time = np.arange(5000) * 1e-3
     out = np.column_stack([rng.standard_normal(5000), 6.0 * rng.standard_normal(5000), np.ones(5000)])

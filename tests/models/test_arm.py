@@ -11,7 +11,8 @@ import yaml
 from flexspline.models.arm import ArmSpec, column, joint_of
 from flexspline.models.arm_dynamics import Arm
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Mounting, shipped
+from flexspline.models.joint import shipped
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Recording, read_measurement, read_recording, write_recording
 
 ARM = """<mujoco><compiler angle="radian"/><option gravity="0 0 -9.80665"/><worldbody>
@@ -92,7 +93,7 @@ def test_the_load_of_an_arm_in_motion_is_mujocos(folder, rng):
     assert np.std(load.torque) > 0.5 and np.ptp(load.inertia) > 0.02
 
 
-def test_a_double_pendulum_on_paper(tmp_path):
+def test_a_double_pendulum_in_closed_form(tmp_path):
     """Two rods on parallel axes: inertia and torque of the first joint from the textbook's formula."""
     m1, m2, a1, l1, a2, I1, I2 = 1.5, 0.8, 0.2, 0.4, 0.25, 0.01, 0.006
     (tmp_path / "two.xml").write_text(
@@ -185,7 +186,7 @@ def test_an_arm_that_moves_is_a_load(folder, tmp_path):
     np.testing.assert_allclose(motor.load.torque, r.load.torque, atol=1e-6)
 
 
-def test_what_is_written_of_an_arm_is_read_again(folder, tmp_path):
+def test_an_arm_survives_a_round_trip(folder, tmp_path):
     t = columns()["time"]
     r = read_recording(write(folder, columns(arm_wrist_position=0.5 * np.sin(3 * t))))
     other = tmp_path / "other"
@@ -237,7 +238,7 @@ def test_a_sample_between_gaps_has_no_velocity(folder):
          ["'arm_elbow_position'", "to have `arm:`"]),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_an_arm_is_one_line(folder, sidecar, change, words):
+def test_faults_of_an_arm_are_one_line(folder, sidecar, change, words):
     inner = folder / "inner"
     inner.mkdir()
     (inner / "arm.xml").write_text(ARM, encoding="utf-8")
@@ -260,7 +261,7 @@ def test_what_is_wrong_with_an_arm_is_one_line(folder, sidecar, change, words):
         ("</mujoco>", '<include file="../x.xml"/></mujoco>', "expected a file inside the MJCF's folder"),
     ],
 )  # fmt: skip
-def test_an_mjcf_that_is_no_arm_is_one_line(tmp_path, old, new, words):
+def test_an_mjcf_without_an_arm_is_one_line(tmp_path, old, new, words):
     (tmp_path / "arm.xml").write_text(ARM.replace(old, new), encoding="utf-8")
     with pytest.raises(InputError) as caught:
         Arm(ArmSpec(model="arm.xml", joint="lift"), tmp_path)

@@ -127,8 +127,8 @@ def test_no_scale_of_the_link_becomes_negative_however_wide_its_deviation():
         assert 0 < low[name] < 0.1 * nominal[name]
 
 
-def test_an_order_of_unknown_phase_stands_there_in_two_quadratures():
-    """Each has a variable of its own: together they are any amplitude at any phase."""
+def test_an_order_of_unknown_phase_has_two_quadratures():
+    """Each has its own variable: together they are any amplitude at any phase."""
     calibration = Calibration(load_joint("ur3e-shoulder"))
     pairs = [name for name in calibration.names if name.startswith("A")]
     assert pairs == ["A1.9901", "A1.9901′", "A1.9802", "A1.9802′"]
@@ -140,8 +140,8 @@ def test_an_order_of_unknown_phase_stands_there_in_two_quadratures():
 
 
 @pytest.mark.parametrize("phase", [0.3, 3.0, 3.5, 4.0, -4.0])
-def test_tolerances_express_a_larger_amplitude_whatever_turn_its_phase_is_told_in(phase):
-    """A cause tells its phase within half a turn: where the description did not, a change within tolerance was a cause."""
+def test_tolerances_express_a_larger_amplitude_at_any_turn_of_its_phase(phase):
+    """A cause has its phase within half a turn: where the description did not, a change within tolerance was a cause."""
     path = known_joints()["test-joint"]
     data = load_joint("test-joint").model_dump()
     data["kinematic_error"][0]["phase"]["value"] = phase

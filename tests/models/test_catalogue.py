@@ -18,7 +18,7 @@ def test_numbers_that_other_sources_state():
     lara8 = load_joint("lara8-joint3").numbers
     found = gear("CSG", 25, 100)
     assert found.stiffness == pytest.approx([lara8[k].value for k in ("K1", "K2", "K3")])
-    assert found.knees == pytest.approx((lara8["T1"].value, lara8["T2"].value))
+    assert found.breakpoints == pytest.approx((lara8["T1"].value, lara8["T2"].value))
     assert (found.rated_torque, found.peak_torque) == pytest.approx((87, 204))
     shd, test = gear("SHD", 17, 100), load_joint("test-joint").numbers
     assert shd.rated_torque == pytest.approx(16)
@@ -31,14 +31,14 @@ def test_numbers_grow_with_size_and_are_ordered(series):
     for ratio in (*RATIOS, 30, 65, 200):
         row = [gear(series, size, ratio) for size in (8, 11, *SIZES, 45, 65)]
         for a, b in itertools.pairwise(row):
-            assert a.rated_torque < b.rated_torque and a.inertia < b.inertia and a.knees < b.knees
+            assert a.rated_torque < b.rated_torque and a.inertia < b.inertia and a.breakpoints < b.breakpoints
             assert all(x < y for x, y in zip(a.stiffness, b.stiffness, strict=True))
         for one in row:
             assert one.stiffness[0] <= one.stiffness[1] <= one.stiffness[2]
             assert one.rated_torque < one.peak_torque
 
 
-def test_it_knows_what_stands_in_a_table():
+def test_tabulated_gears_are_exact():
     assert gear("CSG", 25, 100).exact and not gear("CSG", 25, 101).exact and not gear("CSG", 22, 100).exact
     assert gear("LCSG", 25, 100).like == "CSG" and gear("csg", 25, 100).name == "CSG-25-100"
 
@@ -46,7 +46,7 @@ def test_it_knows_what_stands_in_a_table():
 @pytest.mark.parametrize(
     ("asked", "expected"), [(("CSQ", 25, 100), "did you mean"), (("CSG", 5, 100), "size"), (("CSG", 25, 10), "ratio")]
 )
-def test_gears_that_nobody_makes(asked, expected):
+def test_impossible_gears_are_refused(asked, expected):
     with pytest.raises(InputError, match=expected):
         gear(*asked)
 

@@ -77,7 +77,7 @@ def test_present_is_neutral(name):
     np.testing.assert_array_equal(as_floats(record), as_floats(harmless), err_msg=f"{name}: {changed.sum()} changed")
 
 
-def test_absence_is_what_the_joint_has_already(rng):
+def test_absent_values_are_the_joints_own(rng):
     """Where a record has an effect that the cause replaces, the absence of a further one is that effect."""
     for name in causes.names():
         cause, record = causes.get(name), JOINT.record()
@@ -91,7 +91,7 @@ def test_absence_is_what_the_joint_has_already(rng):
 
 
 @pytest.mark.parametrize("name", causes.names())
-def test_a_second_one_adds_or_replaces_as_it_says(name, rng):
+def test_a_second_one_adds_or_replaces(name, rng):
     cause = causes.get(name)
     once, twice = JOINT.record(), JOINT.record()
     first, second = cause.draw(once[0], rng), cause.draw(once[0], rng)
@@ -104,7 +104,7 @@ def test_a_second_one_adds_or_replaces_as_it_says(name, rng):
 
 
 @pytest.mark.parametrize("name", causes.names())
-def test_what_it_scales_and_sets_is_what_it_changes(name, rng):
+def test_causes_change_the_fields_that_they_name(name, rng):
     cause, record = causes.get(name), JOINT.record()
     values = cause.draw(record[0], rng)
     cause.apply(record[0], values)
@@ -118,7 +118,7 @@ def test_what_it_scales_and_sets_is_what_it_changes(name, rng):
 
 
 @pytest.mark.parametrize("name", causes.names())
-def test_what_it_takes_to_be_seen_is_plain_data(name):
+def test_requirements_are_plain_data(name):
     cause = causes.get(name)
     assert set(cause.needs) <= set(CHANNELS)
     assert (cause.sensor in CHANNELS) == (cause.component == "sensor")
@@ -131,7 +131,7 @@ def test_what_it_takes_to_be_seen_is_plain_data(name):
         assert cause.requires.link_beyond == cause.parameters[0].ordinary[0][0]
 
 
-def test_what_lives_in_the_torsion_alone():
+def test_causes_that_show_in_torsion_only():
     alone = {name for name in causes.names() if causes.get(name).torsion}
     assert alone == {
         "stiffness", "hysteresis", "backlash", "link_encoder_eccentricity", "link_encoder_error", "encoder_delay",
@@ -193,7 +193,7 @@ def test_kinematic_error_names_the_full_new_value(rng):
     )
 
 
-def test_kinematic_error_replaces_an_order_that_stands_there_in_quadratures():
+def test_kinematic_error_replaces_an_order_in_quadratures():
     """As on a joint whose phase nobody knows (ur3e-shoulder)."""
     record = neutral()
     p = record[0]
@@ -205,7 +205,7 @@ def test_kinematic_error_replaces_an_order_that_stands_there_in_quadratures():
     assert cause.centre(p, {"order": 2.0}) == pytest.approx({"order": 2.0, "amplitude": 1e-4, "phase": 0.3})
 
 
-def test_two_of_a_kind_stand_beside_each_other():
+def test_two_orders_are_kept():
     record = JOINT.record()
     for order in (3.0, 5.0):
         causes.get("cogging").apply(record[0], {"order": order, "amplitude": 5e-3, "phase": 0.1})
@@ -228,7 +228,7 @@ def test_more_orders_than_a_joint_may_have_are_one_line(name):
 
 
 def test_payload_is_a_mass_on_the_link(rng):
-    """Weight and inertia of a mass at a distance: m g d at its own angle beside the link's, m d² more."""
+    """Weight and inertia of a mass at a distance: m g d at its own angle against the link's, m d² more."""
     for gravity_angle in (0.0, 3.1, -0.7):
         record = JOINT.record()
         record[0]["gravity_angle"] = gravity_angle
@@ -243,7 +243,7 @@ def test_payload_is_a_mass_on_the_link(rng):
 
 
 def test_a_payload_turns_with_the_link_where_gravitys_direction_differs():
-    """Whichever is found first: the payload hangs where the link's own weight does."""
+    """Whichever is found first: the payload is at the link's own weight."""
     steps = [("payload", {"mass": 0.5, "distance": 0.3, "angle": 0.4}), ("gravity_direction", {"angle": 0.2})]
     found = []
     for order in (steps, steps[::-1]):
@@ -362,7 +362,7 @@ MINE = {
         ({}, "    def apply(self, p, values): p['backlash'] = float('nan')", "expected finite numbers"),
     ],
 )  # fmt: skip
-def test_a_cause_from_outside_is_looked_at(tmp_path, changes, plugin, message):
+def test_a_plugins_cause_is_checked(tmp_path, changes, plugin, message):
     """What it does not keep is one line with its name and its file."""
     path = tmp_path / "mine.py"
     path.write_text(field(MINE | changes, plugin), encoding="utf-8")

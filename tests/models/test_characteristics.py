@@ -57,7 +57,7 @@ def test_friction_is_the_stribeck_curve_at_the_output(found):
 
 
 def test_resonances_are_those_of_two_masses(found):
-    """Link on both springs in series, rotor held; the wave generator's own inertia is small beside the link's."""
+    """Link on both springs in series, rotor held; the wave generator's own inertia is small against the link's."""
     n = {symbol: number.value for symbol, number in JOINT.numbers.items()}
     for name in ("link",):
         stiffness = 1 / (1 / n["K1"] + 1 / (n["N"] ** 2 * n["Kw0"]))
@@ -67,7 +67,7 @@ def test_resonances_are_those_of_two_masses(found):
         assert 0 < held.deviation < 0.2 * held.frequency
 
 
-def test_resolution_is_what_counts_are_worth(found):
+def test_resolution_is_the_counts_torsion(found):
     motor, link = 2 * np.pi / 4096 / 100, 2 * np.pi / 2**20
     assert found.counts == pytest.approx((motor, link))
     assert found.noise == pytest.approx(np.sqrt(motor**2 / 12 + link**2 / 12 + 1.5e-6**2))
@@ -93,7 +93,7 @@ def test_every_shipped_joint_has_them(name):
     assert all(0 < r.frequency < 2000 and np.isfinite(r.deviation) for r in found.resonances)
 
 
-def test_without_tolerances_nothing_is_open():
+def test_without_tolerances_there_is_no_deviation():
     data = {
         name: n.model_copy(update={"tolerance": 0.0, "deviation": 0.0, "shared": None})
         for name, n in JOINT.numbers.items()
@@ -107,7 +107,7 @@ def test_without_tolerances_nothing_is_open():
 
 
 def test_hysteresis_and_backlash_widen_the_loop():
-    from flexspline.models.joint import Effect, Estimate
+    from flexspline.models.joint_parts import Effect, Estimate
 
     plain = characteristics(JOINT)
     effect = Effect(name="hysteresis", parameters={"torque": Estimate(value=1.0), "extent": Estimate(value=8e-5)})

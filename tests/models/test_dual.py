@@ -54,7 +54,7 @@ def test_derivatives_are_those_of_differences(name):
     assert slopes == pytest.approx(numeric, abs=1e-8)
 
 
-def test_what_is_absent_but_about_to_move_is_not_skipped():
+def test_an_absent_effect_with_a_derivative_is_not_skipped():
     @kernel
     def function(p):
         return 3.0 * p.x if p.x != 0.0 else 0.0 * p.y
@@ -85,7 +85,7 @@ def _torques_dual(record, directions, at, out, slopes):
     _one(out, slopes)[0, 0] = _torques(dual_records(record, directions)[0], at)
 
 
-def test_the_laws_are_differentiated_as_they_are():
+def test_the_laws_themselves_are_differentiated():
     """Every number of a joint with effects in it, by its derivative of a balance and by differences of it."""
     record = load_joint("test-joint").record()
     p = record[0]

@@ -98,7 +98,7 @@ def test_balance_of_the_plain_joint(rng):
             np.testing.assert_allclose(got, rates[3:6], rtol=1e-9, atol=1e-8)
 
 
-def test_what_the_drive_transmits_is_the_flexsplines_torque(rng):
+def test_the_drive_transmits_the_flexsplines_torque(rng):
     """Rotor and wave generator as one body: from current and motion to Tf, the way `balance` goes back."""
     for _ in range(50):
         record = with_everything(rng)
@@ -180,7 +180,7 @@ def test_actual_values_invert_readings(rng):
         p["current_offset"], p["Kt_drive"] = 0.1, 0.055
         p["torque_gain"], p["torque_offset"], p["torque_rate"] = 1.15, 0.3, -0.03
         put_discrepancies(p, rng, ("joint_torque", "link_position", "motor_current"), 1e-4)
-        for k in range(3):  # a discrepancy of what whoever inverts a reading knows
+        for k in range(3):  # a discrepancy of known variables
             p["discrepancy_variable"][k] = VARIABLES.index(("link_position", "motor_position", "time")[k])
         _, state, _, _ = random_state(rng)
         b = dynamics.balance(state, p)
@@ -199,17 +199,17 @@ def test_actual_values_invert_readings(rng):
         assert read["temperature"] == state.temperature
 
 
-# --- a part of the link that hangs by a spring -------------------------------------------------------------------
+# --- a flexible part of the link -------------------------------------------------------------------
 
 
-def hanging(share=0.25, frequency=18.0, damping=0.03):
+def flexible(share=0.25, frequency=18.0, damping=0.03):
     p = JOINT.record()[0]
     p["flexible_share"], p["flexible_frequency"], p["flexible_damping"] = share, frequency, damping
     return p
 
 
 def test_flexible_step_is_exact_where_the_links_acceleration_is_straight():
-    p = hanging()
+    p = flexible()
     w, zeta = 2 * np.pi * 18.0, 0.03
     for h in (1e-4, 1e-3, 4e-3, 0.03):
         for a0, a1 in ((0.0, 0.0), (30.0, 30.0), (-5.0, 40.0)):
@@ -223,8 +223,8 @@ def test_flexible_step_is_exact_where_the_links_acceleration_is_straight():
             np.testing.assert_allclose(got, solved.y[:, -1], rtol=1e-9, atol=1e-12)
 
 
-def test_flexible_torque_is_what_the_part_does_not_accelerate():
-    p = hanging(0.3, 12.0, 0.05)
+def test_flexible_torque_balances_the_parts_acceleration():
+    p = flexible(0.3, 12.0, 0.05)
     rates = derivative(0.0, [0.0] * 8 + [1e-3, 0.4], numbers(np.array([p])), 0.0, 0.0)
     inertia = 0.3 * p["Jl"]
     assert laws.flexible_inertia(p) == pytest.approx(inertia)

@@ -30,7 +30,7 @@ def test_sine_and_cosine(rng, reach):
     np.testing.assert_allclose(out[:, 1], [math.cos(x) for x in angles], rtol=0, atol=EPS)
 
 
-def test_what_is_no_angle_has_no_sine():
+def test_infinite_angles_have_no_sine():
     out = np.empty((2, 2))
     _sines(np.array([np.nan, np.inf]), out)
     assert np.isnan(out).all()

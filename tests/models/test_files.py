@@ -84,7 +84,7 @@ def test_rights_follow_the_umask(tmp_path):
     assert rights == {"a.txt": 0o640, "out": 0o750, "b.txt": 0o640}
 
 
-def test_what_killed_processes_left_goes_and_what_living_ones_hold_stays(tmp_path):
+def test_folders_of_ended_processes_are_removed_and_of_running_ones_kept(tmp_path):
     (tmp_path / ".flexspline-new-0123abcd").mkdir()
     (tmp_path / ".flexspline-new-0123abcd" / "a.txt").write_text("left")
     (tmp_path / ".a.txt.notes.txt").write_text("somebody's")
@@ -124,17 +124,17 @@ def test_text_in_another_encoding_is_named_by_line(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["../a", "/a", "a/b", "a\\b", ".a", "", "a\nb", "c:a", "a" * 101, " a"])
-def test_names_lead_nowhere(name):
+def test_names_with_paths_are_refused(name):
     with pytest.raises(InputError, match="expected a name"):
         check_name(name, "--name")
 
 
 @pytest.mark.parametrize("name", ["a", "log 1 (Kopie)", "Prüfstand-3.2", "a[bold]b"])
-def test_ordinary_names_are_welcome(name):
+def test_ordinary_names_are_accepted(name):
     assert check_name(name, "--name") == name
 
 
-def test_messages_are_one_line_and_do_nothing_to_a_terminal():
+def test_messages_are_one_line_without_control_characters():
     assert str(InputError("a\nb\x1b[31mc")) == "a b\\x1b[31mc"
 
 
@@ -158,7 +158,7 @@ class _Outer(Strict):
         ({"name": "a", "inner": "that"}, "it: inner: expected a mapping of keys (mass, distance), got 'that'"),
     ],
 )
-def test_what_is_wrong_is_said_at_once(data, said):
+def test_the_first_error_is_one_line(data, said):
     """All that is missing, and what a key could have been."""
     with pytest.raises(InputError) as caught:
         parse(data, _Outer, "it")
@@ -198,7 +198,7 @@ def test_errors_name_the_line(tmp_path, text, line, said):
     """Wherever it is: comments and empty lines above do not move it."""
     above = int(np.random.default_rng(len(text)).integers(0, 5))
     path = tmp_path / "a.yaml"
-    path.write_text("# what it is\n" * above + text, encoding="utf-8")
+    path.write_text("# a comment\n" * above + text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
         load(path, _Listed, "a file")
     assert str(caught.value).startswith(f"{path}{f':{above + line}' if line else ''}: {said}")
@@ -244,7 +244,7 @@ def test_only_numbers_are_numbers(tmp_path, text, place):
         ("0", 0),
     ],
 )
-def test_what_people_write_for_numbers(tmp_path, text, expected):
+def test_spellings_of_numbers(tmp_path, text, expected):
     path = tmp_path / "a.yaml"
     path.write_text(
         f"number: {text}\nseveral: [{text}]\neither: {text}\n" + (f"count: {text}\n" if expected >= 0 else "")
@@ -261,7 +261,7 @@ def test_only_true_and_false_are_that(tmp_path, text):
         load(tmp_path / "a.yaml", _Numbers, "a file")
 
 
-def test_which_kind_of_mapping_it_is_is_asked_in_a_line():
+def test_a_missing_or_unknown_kind_is_one_line():
     """Where a key says of which kind something is, as the axes of a study do."""
     from flexspline.scenarios.studies.study import Study
 

@@ -16,17 +16,9 @@ import pytest
 from flexspline.models import causes
 from flexspline.models.calibration import slots
 from flexspline.models.errors import InputError, InputWarning
-from flexspline.models.joint import (
-    OPTIONAL_SYMBOLS,
-    SYMBOLS,
-    Discrepancy,
-    Effect,
-    Estimate,
-    as_joint,
-    known_joints,
-    load_joint,
-)
+from flexspline.models.joint import as_joint, known_joints, load_joint
 from flexspline.models.joint_check import check
+from flexspline.models.joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, Discrepancy, Effect, Estimate
 from flexspline.models.parameters import as_floats
 
 TEXT = known_joints()["test-joint"].read_text(encoding="utf-8")
@@ -169,8 +161,8 @@ def numbers_of(data: object, field: str = "") -> Iterator[tuple[str, dict]]:
             yield from numbers_of(one, f"{field}.{key}".lstrip("."))
 
 
-def test_an_unknown_shared_tolerance_is_told_of_every_number():
-    """Of all that calibration moves, wherever it stands; of two at once `check` tells both."""
+def test_an_unknown_shared_tolerance_is_reported_for_every_number():
+    """Of all that calibration moves, at any place; `check` names two at once."""
     data = load_joint("test-joint").model_dump(mode="json")
     data["gravity_angle"] = {"value": 0.0, "unit": "rad", "deviation": 0.01, "source": "mounting"}
     fields = [field for field, _ in numbers_of(data)]
@@ -180,11 +172,11 @@ def test_an_unknown_shared_tolerance_is_told_of_every_number():
         dict(numbers_of(changed))[field]["shared"] = "nope"
         with pytest.raises(InputError) as caught:
             as_joint(changed, Path("a.yaml"))
-        told = f"a.yaml: {field}.shared: expected one of ['friction', 'stiffness'], got 'nope'"
-        assert str(caught.value) == told
+        message = f"a.yaml: {field}.shared: expected one of ['friction', 'stiffness'], got 'nope'"
+        assert str(caught.value) == message
 
 
-def test_a_sensor_may_read_the_other_way_round(tmp_path):
+def test_a_sensor_may_be_reversed(tmp_path):
     path = changed(tmp_path, "gain: {value: 1,", "gain: {value: -1,")
     assert load_joint(path).record()[0]["torque_gain"] == -1.0
 
@@ -317,7 +309,7 @@ def test_bad_effects_are_named():
         ("torque_constant", "value", {"value": 0.06, "std": -1.0}, "std: expected greater than or equal to 0"),
     ],
 )
-def test_effects_of_no_sense_are_one_line(name, parameter, value, expected):
+def test_invalid_effects_are_one_line(name, parameter, value, expected):
     """Range and unit are those of the cause; a unit that is left out is the cause's."""
     joint = load_joint("test-joint")
     cause = causes.get(name)
@@ -357,7 +349,7 @@ def test_repeated_effects(effects, expected):
     assert expected in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_effects_that_add_may_stand_beside_each_other():
+def test_additive_effects_may_repeat():
     data = load_joint("test-joint").model_dump()
     data["effects"] = [effect("gravity_moment", scale=1.1), effect("gravity_moment", scale=1.2)]
     data["effects"] += [effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in (2, 3, 4)]
@@ -374,7 +366,7 @@ def test_a_model_elsewhere_is_refused(tmp_path, model):
         load_joint(changed(tmp_path, "model: test_joint.xml", f"model: {model!r}"))
 
 
-def test_an_mjcf_that_contradicts_the_description_is_told(tmp_path):
+def test_an_mjcf_that_contradicts_the_description_is_reported(tmp_path):
     """The description's numbers count; a tolerance's width is no contradiction, and a fit keeps what it was."""
     text = load_joint("test-joint").mjcf.read_text()
     path = changed(tmp_path, "model: test_joint.xml", "model: own.xml")
@@ -413,7 +405,7 @@ def test_a_path_in_a_file_is_relative_to_that_file(tmp_path, monkeypatch):
         load_joint("joint.yaml", beside=tmp_path)
 
 
-def test_a_pipe_is_no_description(tmp_path):
+def test_a_pipe_is_refused(tmp_path):
     os.mkfifo(tmp_path / "joint.yaml")
     with pytest.raises(InputError, match="cannot read a joint description: not a file"):
         load_joint(tmp_path / "joint.yaml")
@@ -452,7 +444,7 @@ def test_numbers_that_may_be_left_out(tmp_path):
     assert [p[name] for name in OPTIONAL_SYMBOLS] == [0.5, 1e-4, 0.8, 32]
 
 
-def test_a_sensor_that_nobody_knows_is_named(tmp_path):
+def test_an_unknown_sensor_is_named(tmp_path):
     with pytest.raises(InputError, match=r"sensors: joint_torqe: unknown key; did you mean 'joint_torque'\?"):
         load_joint(changed(tmp_path, "  joint_torque:\n", "  joint_torqe: {noise: 1}\n  joint_torque:\n"))
 
@@ -466,7 +458,7 @@ def test_every_number_has_a_unit_and_a_source():
 
 
 def test_numbers_are_those_of_the_specification(shared):
-    """Every number in joint.md's table stands in the YAML."""
+    """Every number in joint.md's table is in the YAML."""
     text = (shared / "spec" / "joint.md").read_text(encoding="utf-8")
     numbers = {symbol: number.value for symbol, number in load_joint("test-joint").numbers.items()}
     rows = [[cell.strip() for cell in line.strip("| \n").split("|")] for line in text.splitlines() if line[:2] == "| "]
@@ -561,7 +553,7 @@ def test_a_file_that_is_no_description_is_not_quoted(tmp_path, text):
     assert all("secret" not in str(problem) for problem in check(path).problems)
 
 
-def test_a_folder_for_a_description_is_said_once(tmp_path):
+def test_a_folder_for_a_description_is_one_message(tmp_path):
     with pytest.raises(InputError) as caught:
         load_joint(tmp_path)
     assert str(caught.value) == f"{tmp_path}: cannot read a joint description: not a file"

@@ -51,7 +51,7 @@ print(sum(user.plus_one.stats.cache_misses.values()), sum(other.half.stats.cache
 
 @pytest.fixture
 def house(tmp_path):
-    """A package of three modules beside a copy of `kernels.py`; returns a function that runs `MAIN` in a new process."""
+    """A package of three modules with a copy of `kernels.py`; returns a function that runs `MAIN` in a new process."""
     package = tmp_path / "house"
     package.mkdir()
     shutil.copy(ROOT / "models" / "kernels.py", package / "kernels.py")
@@ -76,7 +76,7 @@ def compiled_files(folder: Path) -> dict[str, float]:
 
 
 @pytest.mark.slow
-def test_a_changed_law_is_compiled_anew_wherever_it_is_used(house):
+def test_a_changed_law_is_recompiled_wherever_it_is_used(house):
     values, (user, other), folder, misses = house()
     assert values == "7.0 1.5" and misses == [1, 1]
     assert folder.parent == house.package / "__pycache__" / "kernels"
@@ -106,7 +106,7 @@ print(user.plus_one(3.0))
 """
 
 
-def test_a_law_edited_while_a_process_runs_is_compiled_for_that_process_alone(house):
+def test_a_law_edited_during_a_process_is_compiled_for_that_process_only(house):
     """What it holds in memory is not what its file says, and must not be kept under the file's name."""
     done = subprocess.run(
         [sys.executable, "-c", EDITED], cwd=house.package.parent, capture_output=True, text=True, check=True
@@ -203,7 +203,7 @@ def test_division_by_zero_is_an_infinity():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="no umask")
-def test_compiled_code_is_for_its_owner_to_write(house, tmp_path):
+def test_only_the_owner_may_write_compiled_code(house, tmp_path):
     """Whatever the umask: it is executed."""
     folder = house(umask=0)[2]
     assert [path.stat().st_mode & 0o077 for path in (folder, folder.parent)] == [0, 0]

@@ -27,7 +27,7 @@ def test_flexspline_spring_inverts_equation_2(p, backlash):
 
 
 def test_flexspline_spring_as_printed(p):
-    """Eq. (2): slopes K1, K2, K3 with knees at the torques T1, T2; odd."""
+    """Eq. (2): slopes K1, K2, K3 with breakpoints at the torques T1, T2; odd."""
     step = 1e-9
     for torque, slope in ((1.0, 8400), (8.0, 9400), (20.0, 13000)):
         x = laws.flexspline_torsion(torque, p)
@@ -41,8 +41,8 @@ def test_flexspline_spring_as_printed(p):
 @pytest.mark.fast_every(2)
 @pytest.mark.parametrize("backlash", [0.0, 4e-4])
 @pytest.mark.parametrize("width", [5e-5, 2e-4, 1e-3])
-def test_smooth_knees(p, width, backlash):
-    """Continuous with a continuous slope, odd, zero at rest, as printed away from the knees; the inverse is right."""
+def test_smooth_breakpoints(p, width, backlash):
+    """Continuous with a continuous slope, odd, zero at rest, as printed away from the breakpoints; the inverse is right."""
     p["backlash"] = backlash
     x = np.linspace(0.0, 4e-3, 40_001)
     printed = np.array([laws.flexspline_spring(v, p) for v in x])
@@ -51,16 +51,16 @@ def test_smooth_knees(p, width, backlash):
     odd = np.array([laws.flexspline_spring(-v, p) for v in x[::100]])
     np.testing.assert_array_equal(odd, -smooth[::100])
     assert smooth[0] == 0.0 and np.all(np.diff(smooth[x > 0.5 * backlash + 1e-9]) > 0)
-    reach = min(width, 3.9 / 8400)  # no wider than the first knee is far: the law is zero at rest
-    knees = 0.5 * backlash + np.array([3.9 / 8400, 3.9 / 8400 + 8.1 / 9400])
-    away = np.all(np.abs(x[:, None] - knees) > reach + 1e-7, axis=1)
+    reach = min(width, 3.9 / 8400)  # no wider than the first place is far: the law is zero at rest
+    breakpoints = 0.5 * backlash + np.array([3.9 / 8400, 3.9 / 8400 + 8.1 / 9400])
+    away = np.all(np.abs(x[:, None] - breakpoints) > reach + 1e-7, axis=1)
     np.testing.assert_allclose(smooth[away], printed[away], atol=1e-9)
     excess = (smooth - printed)[~away]
     assert excess.min() > -1e-9
-    # At a knee a parabola is (K' − K)·width/4 above it.
-    for knee, K in zip(knees, ((8400, 9400), (9400, 13000)), strict=True):
-        if np.ptp(knees) > 2 * reach:
-            above = laws.flexspline_spring(knee, p) - np.interp(knee, x, printed)
+    # At a place a parabola is (K' − K)·width/4 above it.
+    for place, K in zip(breakpoints, ((8400, 9400), (9400, 13000)), strict=True):
+        if np.ptp(breakpoints) > 2 * reach:
+            above = laws.flexspline_spring(place, p) - np.interp(place, x, printed)
             assert above == pytest.approx((K[1] - K[0]) * reach / 4, rel=0.02)
     step = 1e-9
     for v in np.linspace(0.5 * backlash + 1e-6, 4e-3, 200):
@@ -94,8 +94,8 @@ def test_wave_generator_inverts_equation_5(p):
         assert laws.wave_generator_spring(torsion, p) == pytest.approx(torque, rel=1e-8, abs=1e-13)
 
 
-def test_wave_generator_goes_on_beyond_its_logarithm(p):
-    """δ = 1/(Cw·Kw0) is the end of Eq. (5); beyond it the torque goes on as a straight line, not as NaN."""
+def test_wave_generator_continues_beyond_its_logarithm(p):
+    """δ = 1/(Cw·Kw0) is the end of Eq. (5); beyond it the torque continues as a straight line, not as NaN."""
     end = (1 - 1e-6) / (20 * 1.14)
     x = end + np.array([-1e-9, 0, 1e-9, 1e-4, 1e-2, 1.0])
     torque = np.array([laws.wave_generator_spring(value, p) for value in x])

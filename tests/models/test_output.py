@@ -1,4 +1,4 @@
-"""Folders that commands write to: what is not theirs stays, what they write is there as a whole or not at all."""
+"""Folders that commands write to: other files stay, and output is complete or absent."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def content(path):
     }
 
 
-def test_written_as_a_whole_or_not_at_all(tmp_path):
+def test_output_is_complete_or_absent(tmp_path):
     out = tmp_path / "a" / "out"
     write(out, {"one": "1", "sub/two": "2"}, whole=True)
     with pytest.raises(ZeroDivisionError), output_folder(out, "run", whole=True) as folder:
@@ -103,7 +103,7 @@ def test_what_another_command_wrote_is_not_replaced(tmp_path):
     assert content(out) == {"metrics.json": "a run's", "more.json": "2"}
 
 
-def test_a_manifest_leads_nowhere(tmp_path):
+def test_a_manifest_cannot_name_files_elsewhere(tmp_path):
     (tmp_path / "mine").write_text("mine")
     out = tmp_path / "out"
     write(out, {"one": "1", "sub/two": "2"}, whole=True)
@@ -122,7 +122,7 @@ def test_a_manifest_leads_nowhere(tmp_path):
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"files": 3}', '{"files": ["a"]}', '{"files": {"mine": ""}}', "[" * 100_000]
 )
-def test_a_manifest_that_is_none_protects_all(tmp_path, text):
+def test_an_invalid_manifest_protects_all_files(tmp_path, text):
     (tmp_path / MANIFEST).write_text(text)
     (tmp_path / "mine").write_text("mine")
     with pytest.raises(InputError, match="other files"):
@@ -139,7 +139,7 @@ def test_a_manifest_of_another_version_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
-def test_a_manifest_that_cannot_be_read_now_is_not_taken_for_none(tmp_path, monkeypatch, number):
+def test_an_unreadable_manifest_is_an_error(tmp_path, monkeypatch, number):
     write(tmp_path / "out", {"one": "1"})
     read = Path.read_text
 
@@ -157,7 +157,7 @@ STEPS = ("rename", "replace", "unlink", "rmdir", "rmtree", "mkdir")
 
 
 def killed_at(step, out):
-    """Write a folder anew and die just before the step-th change of the file system; whether it came so far."""
+    """Rewrite a folder and die just before the step-th change of the file system; whether it came so far."""
     program = f"""
 import os, shutil, sys
 from pathlib import Path
@@ -208,7 +208,7 @@ def test_killed_at_every_step_of_the_exchange(tmp_path):
     assert not killed and step > 8 and seen == {True, False}
 
 
-def test_what_a_living_process_holds_stays(tmp_path):
+def test_folders_of_running_processes_are_kept(tmp_path):
     with output_folder(tmp_path / "out", "compare") as one:
         (one / "a").write_text("1")
         with output_folder(tmp_path / "out", "compare") as other:
@@ -229,12 +229,12 @@ def test_a_full_disk_is_one_line_and_leaves_what_was_there(tmp_path, number):
     assert content(tmp_path / "out") == {"one": "1"}
 
 
-def test_errors_of_the_work_itself_are_not_blamed_on_the_folder(tmp_path):
+def test_errors_of_the_work_itself_are_unchanged(tmp_path):
     with pytest.raises(FileNotFoundError), output_folder(tmp_path / "out", "run"):
         (tmp_path / "nothing").read_text()
 
 
-def test_without_locks_it_works_all_the_same(tmp_path, monkeypatch):
+def test_it_works_without_locks(tmp_path, monkeypatch):
     monkeypatch.setattr(output, "fcntl", None)
     write(tmp_path / "out", {"one": "1"}, whole=True)
     write(tmp_path / "out", {"one": "2"}, whole=True)

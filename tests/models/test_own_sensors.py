@@ -60,7 +60,7 @@ def test_it_is_listed(flexspline, strain):
         (("truth[\"joint_torque\"] +", "truth[\"joint_torque\"][:-1] +"), "operands could not be broadcast"),
         (("return truth[\"joint_torque\"] +", "return np.nan * truth[\"joint_torque\"] +"), "expected finite readings"),
         (("name = \"strain\"", "name = \"joint_torque\""), "expected another name"),
-        (("(Sensor):", ":"), "expected a flexspline.models.own_sensors.Sensor"),
+        (("(Sensor):", ":"), "expected a subclass of flexspline.models.own_sensors.Sensor"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_one_line(flexspline, strain, tmp_path, change, said):

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Mounting
+from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Recording, read_measurement, read_recording, write_recording
 from flexspline.models.tables import read_table, write_table
 
@@ -65,7 +65,7 @@ def test_one_position_and_one_torque_are_a_recording(tmp_path, position, torque)
         r.without(torque)
 
 
-def test_what_a_recording_would_be_without_a_sensor():
+def test_a_recording_without_a_sensor():
     pushed = recording(external_torque=np.ones(50), external="measured")
     less = pushed.without("external_torque", "link_position")
     assert (less.external, sorted(less.columns)) == ("unmeasured", ["motor_current", "motor_position"])
@@ -96,7 +96,7 @@ def test_gaps_split_into_segments():
 
 
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
-def test_samples_a_tenth_of_a_second_apart_are_no_gaps_however_they_round(start):
+def test_samples_a_tenth_of_a_second_apart_are_not_gaps(start):
     t = start + 0.1 * np.arange(50)
     assert np.any(np.diff(t) > 0.1)
     assert recording(n=50, time=t).gaps == ()
@@ -110,14 +110,14 @@ def test_a_measurement_is_a_folder_of_tables_with_yaml(tmp_path):
     assert [r.name for r in m.recordings] == ["a", "b"]
     assert m.load_joint().name == "test-joint"
     assert read_measurement(tmp_path / "b.parquet").recordings[0].name == "b"
-    assert m.passed_over == {tmp_path / "notes.csv": "no notes.yaml lies beside it"}
+    assert m.passed_over == {tmp_path / "notes.csv": "notes.yaml is missing"}
 
 
-def test_of_two_tables_of_a_name_one_is_read_and_the_other_is_told(tmp_path):
-    """Also where the YAML file that both share is what was named; a table that was named itself is the one that is meant."""
+def test_of_two_tables_of_a_name_one_is_read_and_the_other_is_named(tmp_path):
+    """Also for the path of their YAML file; the path of a table selects that table."""
     write_recording(recording("a"), tmp_path)
     write_csv(tmp_path, HEADER + "0,1,2,3\n0.001,1,2,3\n")
-    other = {tmp_path / "a.csv": "a.parquet lies beside it"}
+    other = {tmp_path / "a.csv": "a.parquet was read"}
     for path in (tmp_path, tmp_path / "a.yaml"):
         m = read_measurement(path)
         assert [r.source for r in m.recordings] == [str(tmp_path / "a.parquet")]
@@ -162,7 +162,7 @@ def test_a_bad_row_is_named(tmp_path, rows, words):
             "time,motor_position,link_position,motor_current,joint_torqe\n0,1,2,3,4\n1,1,2,3,4\n",
             ["'joint_torqe'", "unknown", "did you mean 'joint_torque'"],
         ),
-        ("time,time,motor_position,link_position,motor_current\n0,1,2,3,4\n", ["'time'", "twice"]),
+        ("time,time,motor_position,link_position,motor_current\n0,1,2,3,4\n", ["'time'", "duplicate"]),
     ],
 )
 def test_a_bad_header_is_named(tmp_path, header, words):
@@ -223,7 +223,7 @@ def test_nothing_there(tmp_path):
     with pytest.raises(InputError, match="got none"):
         read_measurement(tmp_path)
     (tmp_path / "a.csv").write_text(HEADER)
-    with pytest.raises(InputError, match=r"YAML file a\.yaml beside it"):
+    with pytest.raises(InputError, match=r"YAML file a\.yaml next to it"):
         read_recording(tmp_path / "a.csv")
     with pytest.raises(InputError, match="expected a table"):
         read_recording(tmp_path / "a.txt")
@@ -257,7 +257,7 @@ def test_a_number_that_no_sensor_reads_is_refused(value):
         recording(motor_current=np.where(np.arange(50) == 2, value, 0.0))
 
 
-def test_a_table_in_several_groups_of_rows_some_of_them_empty_is_read_as_one(tmp_path):
+def test_a_table_in_several_groups_of_rows_is_read_as_one(tmp_path):
     path = write_recording(recording(n=100), tmp_path)
     table = pq.read_table(path)
     with pq.ParquetWriter(path, table.schema) as writer:
@@ -273,7 +273,7 @@ def test_utf_16_is_read(tmp_path):
     np.testing.assert_array_equal(read_measurement(path).recordings[0]["motor_current"], [3.0, 3.0])
 
 
-def test_a_log_with_columns_of_its_own_is_sent_to_import(tmp_path):
+def test_an_unknown_column_suggests_import(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time,motor_position,motor_current,status\n0,1,2,3\n")
     path.with_suffix(".yaml").write_text("format: 1\njoint: test-joint\nlink: {inertia: 0.35, gravity_moment: 9.0}\n")
@@ -281,7 +281,7 @@ def test_a_log_with_columns_of_its_own_is_sent_to_import(tmp_path):
         read_measurement(path)
 
 
-def test_a_column_whose_name_is_no_text_is_refused_in_one_line(tmp_path):
+def test_a_column_with_an_undecodable_name_is_one_line(tmp_path):
     """A damaged byte in a name was a UnicodeDecodeError: names are decoded when they are asked for."""
     path, n = tmp_path / "log.parquet", np.arange(100.0)
     units = {"time": "s", "motor_position": "rad", "motor_current": "A"}

@@ -1,4 +1,4 @@
-"""Whatever stands in a file that people write is used, or refused in one line; what is used means the same when written again."""
+"""Everything in a file of a user is used, or refused in one line; what is used means the same when written again."""
 
 from __future__ import annotations
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Sensors, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Sensors
 from flexspline.models.signals import CHANNELS, DRIVING, POSITIONS, READINGS, SENSED, WRENCH, Signals
 
 
@@ -50,7 +51,7 @@ def test_other_signals_are_made_not_changed(signals):
         ([0.0, 1.0], {"motor_current": [1.0, np.inf]}, "motor_current: expected finite"),
     ],
 )
-def test_what_is_no_signal_is_named(time, columns, words):
+def test_invalid_signals_are_named(time, columns, words):
     with pytest.raises(InputError, match=words):
         Signals(np.array(time), {name: np.array(values) for name, values in columns.items()})
 

@@ -96,7 +96,7 @@ def test_memory_is_fresh_for_each_user():
     assert CompiledStep(0, 0, taken.record, outputs=0).arrays()[1].size == 1  # never an array without an address
 
 
-def test_a_step_is_compiled_once_by_whichever_thread_comes_first():
+def test_a_step_is_compiled_once_by_several_threads():
     @step_of(MEMORY)
     def late(m, s, p, c, o):
         o.torque = 3.0

@@ -1,4 +1,4 @@
-"""Joints in series as an experiment: every joint has a run, a recording and a diagnosis of its own."""
+"""Joints in series as an experiment: every joint has a run, a recording and a diagnosis."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_every_joint_has_a_run_of_its_own(runs):
     assert list(runs["elbow"].estimates) == ["model", "RAREKF"]
     assert runs["elbow"].metrics["filters"]["RAREKF"]["rms"] < 0.2
     noise = [run.reading("joint_torque") - run.truth("joint_torque") for run in runs.values()]
-    assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # streams of their own
+    assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # different streams
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.2])
@@ -65,7 +65,7 @@ def test_a_recording_of_a_joint_says_what_arm_it_is_in(runs, tmp_path):
     assert again.link.inertia == pytest.approx(0.1) and again.link.gravity_moment == pytest.approx(2.0)
     sidecar = yaml.safe_load((tmp_path / "two_joints_elbow.yaml").read_text(encoding="utf-8"))
     assert sidecar["arm"]["joint"] == "elbow" and "link" not in sidecar
-    # What the estimators knew: what hangs on it while the other stands in the middle of its way.
+    # The estimators know the payload with the other joint at the median of its command.
     arm = runs["shoulder"].place.arm
     middle = {"elbow": float(np.median(run.position_command))}
     assert Arm.of_text(arm.spec, arm.mjcf).mounting(middle) == runs["shoulder"].scenario.link
@@ -126,7 +126,7 @@ def test_who_pushes_is_told_apart_from_who_moves(runs):
     blind = found + recording.torque_of_arm
     inside = slice(500, -500)
     error, taken = (np.sqrt(np.nanmean(x[inside] ** 2)) for x in (found, blind))
-    print(f"{error:.3f} N·m, the other's motion taken for a push {taken:.3f} N·m")
+    print(f"{error:.3f} N·m, the other's motion as a push {taken:.3f} N·m")
     assert taken > 1.3 * error
 
 

@@ -11,7 +11,8 @@ import pytest
 
 from flexspline.estimator import FilterDiverged, registry
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Effect, Estimate, load_joint
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.scenarios.experiment import Experiment, estimate, signals_of
 from flexspline.scenarios.filters import PAPER
 from flexspline.scenarios.run import run_scenario
@@ -191,7 +192,7 @@ def test_wrench_is_the_joint_torque_also_where_something_holds_the_link(tmp_path
 
 
 def test_delay_and_rate_in_the_loop():
-    """A link encoder 5 ms late at 250 Hz: the reading is the truth 5 ms before the last of its own instants."""
+    """A link encoder 5 ms late at 250 Hz: the reading is the truth 5 ms before its last sample."""
     run = run_scenario(
         scenario(sensors={"link_encoder": {"noise": 0.0, "bits": 30, "delay": 0.005, "rate": 250}}, feedback="none")
     )
@@ -247,7 +248,7 @@ def test_printed_equation_23_ends_in_a_clear_error(tmp_path):
 
 
 def test_printed_equation_23_with_noise():
-    """With the encoder's noise no estimate is exactly zero: f_α is huge near zero load, the gain one: no filter at all."""
+    """With the encoder's noise no estimate is exactly zero: f_α is huge near zero load, the gain one: no filter."""
     printed = {"name": "printed", "rule": "rarekf", "alpha": "printed"}
     filters = [printed, {"name": "RAREKF", "rule": "rarekf"}]
     run = run_scenario(scenario(mounting="no_load", disturbances=[], filters=filters))

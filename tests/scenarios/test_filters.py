@@ -101,7 +101,7 @@ def test_estimators_by_name():
 
 
 def test_every_estimator_runs_in_a_scenario():
-    """All of them at once, on threads: each is what it is alone over the signals, under its own name."""
+    """All at once on threads: each is the same as without the others, under its own name."""
     changes = ["duration=1.5", "transient=0.5", f"filters=[{', '.join(ALL)}, {{name: mine, rule: ekf, W: 1e-3}}]"]
     chosen, folder = load_scenario("external_push", changes)
     run = run_scenario(chosen, folder, threads=3)

@@ -45,7 +45,7 @@ def test_estimators_read_the_current_sensor_at_the_time_stamps():
     assert np.abs(signals.time - run.time).max() < 0.5e-3
     step = run.joint.sensors.motor_current.step
     np.testing.assert_allclose(signals["motor_current"] / step, np.round(signals["motor_current"] / step), atol=1e-6)
-    # By hand, at 0.4 m, a push of 5 N·m is a force of 12.5 N.
+    # At 0.4 m, a push of 5 N·m is a force of 12.5 N.
     assert np.ptp(run.reading("force_x")) > 12.0
 
 

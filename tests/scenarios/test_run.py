@@ -24,7 +24,7 @@ from flexspline.scenarios.scenario import load_scenario
 
 @pytest.fixture(scope="module")
 def run():
-    """The paper's filters, one that has two measurements and states, and one that believes nothing of itself."""
+    """The paper's filters, a filter with two measurements and states, and one without a variance."""
     filters = "filters=[EKF, AREKF, RAREKF, REKF, dynamics_ekf, {name: slow, estimator: lowpass, cutoff: 5}]"
     chosen, folder = load_scenario("external_push", ["duration=10", "plant.K1=9000", filters], seed=3)
     return run_scenario(chosen, folder, threads=2)

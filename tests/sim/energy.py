@@ -31,7 +31,7 @@ class Energy:
     friction: float
     """Stored in the bristles of mesh friction and hysteresis."""
     flexible: float
-    """Motion and spring of the part of the link that hangs on it by a spring."""
+    """Motion and spring of the flexible part of the link."""
 
     @property
     def total(self) -> float:
@@ -74,14 +74,14 @@ def energy_of(
     Args:
       record: parameters, shape (1,).
       position, velocity: rotor, wave generator, link, rad and rad/s; shape (3,), or (4,) with the angle against the link of
-        what hangs on it by a spring.
+        the flexible part.
       bristle: deflection of the mesh friction's bristle [rad]; dahl: Dahl state of the flexspline's hysteresis [rad].
     """
     p = record[0]
     theta_m, theta_w, theta_l = position[ROTOR], position[WAVE_GENERATOR], position[LINK]
-    hanging = float(laws.flexible_inertia(p))
+    flexible = float(laws.flexible_inertia(p))
     angle, rate = (position[FLEXIBLE], velocity[FLEXIBLE]) if len(position) > FLEXIBLE else (0.0, 0.0)
-    inertia = np.array([p["Jm"], p["Jw"], p["Jl"] - hanging])
+    inertia = np.array([p["Jm"], p["Jw"], p["Jl"] - flexible])
     torsion = theta_w / p["N"] - theta_l - laws.kinematic_error(theta_w, p)
     link = 0.5 * p["cable_stiffness"] * (theta_l - p["cable_rest"]) ** 2
     link += 0.5 * p["stop_stiffness"] * max(theta_l - p["stop_angle"], 0.0) ** 2
@@ -98,23 +98,23 @@ def energy_of(
         cogging=float(np.sum(amplitude / order * np.cos(order * theta_m + phase))),
         friction=float(friction),
         flexible=float(
-            0.5 * hanging * (velocity[LINK] + rate) ** 2 + 0.5 * laws.flexible_torque(angle, 0.0, p) * angle
+            0.5 * flexible * (velocity[LINK] + rate) ** 2 + 0.5 * laws.flexible_torque(angle, 0.0, p) * angle
         ),
     )
 
 
 def flexspline_energy(torsion: float, p: np.void) -> float:
-    """Energy of the flexspline's spring [J]: the integral of `laws.flexspline_spring`, quadratic between the knees.
+    """Energy of the flexspline's spring [J]: the integral of `laws.flexspline_spring`, quadratic between the breakpoints.
 
-    Each change of slope adds the integral of its ramp: (u + w)³/12w inside ±w of its knee, u²/2 + w²/6 beyond.
+    Each change of slope adds the integral of its ramp: (u + w)³/12w inside ±w of its breakpoint, u²/2 + w²/6 beyond.
     """
     x = max(abs(torsion) - 0.5 * p["backlash"], 0.0)
-    knee1 = p["T1"] / p["K1"]
-    knee2 = knee1 + (p["T2"] - p["T1"]) / p["K2"]
-    width = min(p["knee_width"], knee1)
+    break1 = p["T1"] / p["K1"]
+    break2 = break1 + (p["T2"] - p["T1"]) / p["K2"]
+    width = min(p["knee_width"], break1)
     total = 0.5 * p["K1"] * x**2
-    for knee, change in ((knee1, p["K2"] - p["K1"]), (knee2, p["K3"] - p["K2"])):
-        u = x - knee
+    for place, change in ((break1, p["K2"] - p["K1"]), (break2, p["K3"] - p["K2"])):
+        u = x - place
         if u >= width:
             total += change * (0.5 * u**2 + width**2 / 6)
         elif u > -width:
@@ -125,7 +125,7 @@ def flexspline_energy(torsion: float, p: np.void) -> float:
 def wave_generator_energy(torsion: float, p: np.void) -> float:
     """Energy of the wave generator's compliance [J]: the integral of `laws.wave_generator_spring`.
 
-    With u = 1 − Cw·Kw0·|δ| it is (u ln u − u + 1)/(Cw²·Kw0); where the law goes on as a tangent, quadratic.
+    With u = 1 − Cw·Kw0·|δ| it is (u ln u − u + 1)/(Cw²·Kw0); where the law continues as a tangent, quadratic.
     """
     slope = p["Cw"] * p["Kw0"]
     u = 1.0 - slope * abs(torsion)

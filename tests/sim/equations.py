@@ -75,7 +75,7 @@ def check_motion(model: mujoco.MjModel, record: np.ndarray, locked: float = 0.0)
             raise AssertionError(
                 f"{name} accelerates by {data.qacc[wrong[0]]:.6g} rad/s², expected {expected[wrong[0]]:.6g} rad/s²"
             )
-        # The torque that the sensor reads about y, against the axis: what moves link and hanging part against their weight.
+        # The torque that the sensor reads about y, against the axis: what moves link and flexible part against their weight.
         through = p["Jl"] * data.qacc[LINK] - b.gravity
         if model.nv > FLEXIBLE:
             through += laws.flexible_inertia(p) * data.qacc[FLEXIBLE]
@@ -101,10 +101,10 @@ def _expected(
         h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced) * np.diag(across**2)
     )  # MuJoCo has no entry across branches
     if data.qpos.size > FLEXIBLE:
-        hanging = laws.flexible_inertia(p)
+        flexible = laws.flexible_inertia(p)
         force = np.append(force, -laws.flexible_torque(data.qpos[FLEXIBLE], data.qvel[FLEXIBLE], p))
         whole = np.zeros((4, 4))
         whole[:3, :3] = inertia
-        whole[LINK, FLEXIBLE] = whole[FLEXIBLE, LINK] = whole[FLEXIBLE, FLEXIBLE] = hanging
+        whole[LINK, FLEXIBLE] = whole[FLEXIBLE, LINK] = whole[FLEXIBLE, FLEXIBLE] = flexible
         inertia = whole
     return force, inertia

@@ -18,7 +18,7 @@ from flexspline.models.parameters import PLACES, VARIABLES
 def spring(torsion, p):
     """Flexspline torque [N·m], Eqs. (2), (7); backlash: k acts on sgn(Δθf)·max(0, |Δθf| − b/2).
 
-    Smooth knees: the slope goes straight from one stiffness to the next over `knee_width` to either side; its integral.
+    Smooth breakpoints: the slope goes straight from one stiffness to the next over `knee_width` to either side; its integral.
     """
     x = max(0.0, abs(torsion) - p["backlash"] / 2)
     knee1 = p["T1"] / p["K1"]
@@ -56,7 +56,7 @@ def discrepancy(place, p, tm, tl, w, load, t):
 
 
 def derivative(t, x, p, motor_torque, external_torque, temperature=25.0):
-    """Right-hand side: θm, θw, θl, their velocities, bristle, Dahl state, angle and rate of what hangs on the link by a spring.
+    """Right-hand side: θm, θw, θl, their velocities, bristle, Dahl state, angle and rate of the flexible part of the link.
 
     `p` is a dict of the record's numbers; `temperature` [°C] a number or a function of time.
     """
@@ -175,5 +175,5 @@ def torques(record, states, rates, inputs, period=1e-3):
     others -= p["Mg"] * np.sin(tl + p["gravity_angle"]) + p["cable_stiffness"] * (tl - p["cable_rest"])
     others -= p["stop_stiffness"] * np.maximum(0.0, tl - p["stop_angle"])
     others -= p["link_friction"] * np.tanh(states[:, 5] / 0.01) + p["link_damping"] * states[:, 5]
-    hanging = p["flexible_share"] * p["Jl"] * rates[:, 9]
-    return p["Jl"] * rates[:, 5] + hanging - others
+    flexible = p["flexible_share"] * p["Jl"] * rates[:, 9]
+    return p["Jl"] * rates[:, 5] + flexible - others

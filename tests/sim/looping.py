@@ -35,7 +35,7 @@ def motion(seconds=2.0, distance=0.4):
 def run(
     joint=JOINT, mounting="link", record=None, feedback=None, temperature=None, seed=3, model=None, **motion_of
 ) -> Simulation:
-    """Simulate a joint in the loop; with a model that is there, or one of its own."""
+    """Simulate a joint in the loop; with a given model, or a new one."""
     mounted = joint.mount(mounting)
     record = joint.record(mounted) if record is None else record
     model = plant.build(joint, mounted, record=record) if model is None else model

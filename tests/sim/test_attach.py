@@ -74,7 +74,7 @@ def motions(model, data, control, steps, which=()):
     ids=["plain", "effects"],
 )  # fmt: skip
 def test_one_joint_of_a_locked_arm_is_the_plant(moving, effects, monkeypatch):
-    """The same gear on a six-axis arm whose other hinges are held, and as a plant of its own with that inertia."""
+    """The same gear on a six-axis arm whose other hinges are held, and as a separate plant with that inertia."""
     text = arm(moving=moving).replace("<option ", '<option gravity="0 0 0" ')
     record = record_of("link", **effects)
     monkeypatch.setattr(type(JOINT), "record", lambda self, mounting=None: record.copy())
@@ -128,8 +128,8 @@ def test_energy_of_a_six_axis_arm_is_kept():
     assert abs(totals[-500:].mean() - totals[:500].mean()) < 2e-2
 
 
-def test_somebodys_model():
-    """Keyframes, numerics, a limited tendon, contacts, an actuator with an inherited range: all as before, gears beside."""
+def test_a_users_model():
+    """Keyframes, numerics, a limited tendon, contacts, an actuator with an inherited range: all as before, with gears."""
     plain = mujoco.MjModel.from_xml_string(SOMEBODYS)
     model, data = attached(SOMEBODYS, "shoulder", "elbow")
     np.testing.assert_array_equal(model.numeric("mine").data, [1, 2, 3])
@@ -184,7 +184,7 @@ def test_states_are_saved_copied_reset_and_rolled_out():
     np.testing.assert_array_equal(data.plugin_state, mujoco.MjData(model).plugin_state)
 
 
-def test_no_global_callback_is_taken():
+def test_global_callbacks_are_unchanged():
     """Others' callbacks act next to the gear, and none is set for it."""
     import ctypes
 
@@ -249,7 +249,7 @@ def test_numbers_of_a_configuration_can_be_edited():
         (arm(1).replace("<worldbody>", '<compiler settotalmass="3"/><worldbody>'), "j0", "change the inertia of the rotor"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_attached_is_one_line_and_changes_nothing(text, name, message):
+def test_an_impossible_attachment_is_one_line_and_changes_nothing(text, name, message):
     spec = mujoco.MjSpec.from_string(text)
     before = [one.name for one in spec.bodies]
     with pytest.raises(InputError, match=message) as error:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from driving import JOINT, record_of
 
-from flexspline.models.joint import AnalogSpec, EncoderSpec
+from flexspline.models.joint_parts import AnalogSpec, EncoderSpec
 from flexspline.models.signals import READINGS, SENSED
 from flexspline.sim import plant
 from flexspline.sim.drive import Controller, control
@@ -197,7 +197,7 @@ def test_an_analog_sensor_has_steps_too():
     assert record["step"] == 0.1 and record["period"] == pytest.approx(0.002)
 
 
-# --- what real sensors do beside noise ---------------------------------------------------------------------------
+# --- imperfections of real sensors ---------------------------------------------------------------------------
 
 
 def test_ripple_crosstalk_and_error_within_counts(rng):

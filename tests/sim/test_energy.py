@@ -53,7 +53,7 @@ def drift(found, windows=10):
     ],
 )
 def test_no_drift_in_ten_seconds(mounting, start, timestep, changes):
-    """Springs wound, friction, damping and motor off. Past a knee, where the spring's slope jumps, at no load a finer step."""
+    """Wound springs without friction, damping and motor. Beyond a breakpoint, where the slope jumps, a finer step."""
     record = frictionless(mounting)
     for name, value in changes.items():
         record[0][name] = value
@@ -66,7 +66,7 @@ def test_no_drift_in_ten_seconds(mounting, start, timestep, changes):
 @pytest.mark.fast_every(5)
 @pytest.mark.parametrize("mounting", ["no_load", "link"])
 @pytest.mark.parametrize("effect", ["none", "own bristle", "hysteresis", "backlash", "flexible"])
-def test_friction_only_takes(mounting, effect):
+def test_friction_only_removes_energy(mounting, effect):
     """With friction and damping on and no input, the energy never exceeds what it was, but for the ripple of one step."""
     changes = {
         "none": {},
@@ -86,12 +86,12 @@ def test_friction_only_takes(mounting, effect):
 def test_spring_energies_are_integrals_of_the_laws(backlash, width):
     record = record_of(backlash=backlash, knee_width=width)
     p = record[0]
-    knees = [
+    breakpoints = [
         0.5 * backlash + x
         for x in (0.0, *(k + s for k in (3.9 / 8400, 3.9 / 8400 + 8.1 / 9400) for s in (-width, width)))
     ]
     for x in (1e-4, 3e-4, 9e-4, 3e-3, -2e-3):
-        inside = [k for k in knees if 0 < k < abs(x)]
+        inside = [k for k in breakpoints if 0 < k < abs(x)]
         area = quad(
             lambda s: laws.flexspline_spring(s, p), 0, abs(x), points=sorted(set(inside)) or None, epsabs=1e-14
         )[0]

@@ -14,7 +14,7 @@ from looping import motion, simulate, simulate_together
 from flexspline.models import dynamics, laws
 from flexspline.models.arm import ArmSpec
 from flexspline.models.arm_dynamics import Arm
-from flexspline.models.joint import EncoderSpec, Mounting
+from flexspline.models.joint_parts import EncoderSpec, Mounting
 from flexspline.sim import arm, plant, plugin
 from flexspline.sim.arm import ArmJoint
 from flexspline.sim.drive import Controller
@@ -248,7 +248,7 @@ _FLEXIBLE = {"flexible_share": 0.2, "flexible_damping": 0.05}
 _HYSTERESIS = {"hysteresis_torque": 1.0, "hysteresis_extent": 8e-5}
 EFFECTS: dict[str, tuple[dict, dict]] = {
     "none": ({}, {}),
-    "states of its own": (_FLEXIBLE, _HYSTERESIS | {"friction_load": 0.2}),
+    "own states": (_FLEXIBLE, _HYSTERESIS | {"friction_load": 0.2}),
     "states of the other": (_HYSTERESIS | {"friction_asymmetry": 0.3}, _FLEXIBLE),
 }
 
@@ -327,7 +327,7 @@ def test_energy_is_kept():
     assert max(kinetic) > 0.5 * means[0]
 
 
-def test_in_any_pieces_the_same():
+def test_parts_of_a_run_are_equal_to_the_whole():
     joints = two()
     model, whole = arm.build(joints), run(joints)
     loop = ClosedLoop(model, [driven(one, *swing) for one, swing in zip(joints, swings(), strict=True)])

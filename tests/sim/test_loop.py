@@ -15,7 +15,7 @@ import pytest
 from driving import JOINT, record_of
 from looping import motion, run
 
-from flexspline.models.joint import AnalogSpec, EncoderSpec
+from flexspline.models.joint_parts import AnalogSpec, EncoderSpec
 from flexspline.models.signals import READINGS, SENSED, WRENCH, Signals
 from flexspline.models.step import SAMPLE, CompiledStep, step_of
 from flexspline.sim import plant
@@ -155,7 +155,7 @@ def _mesh_friction(s):
 
 
 def recording_step(kept):
-    """A step that keeps what it was given and answers with a torque of its own making."""
+    """A step that keeps what it was given and answers with its own torque."""
 
     def step(m, s, p, c, o):
         kept.append(s.item())
@@ -175,8 +175,8 @@ def test_an_estimator_is_given_in_the_loop_what_it_reads_afterwards(reads_comman
     given = np.array(kept, SAMPLE)
     np.testing.assert_array_equal(given["time"], s.time)
     np.testing.assert_array_equal(given["interval"], np.diff(s.time, prepend=0.0))
-    told = np.r_[0.0, s.command[:-1]] if reads_command else np.full(len(s.time), np.nan)
-    np.testing.assert_array_equal(given["current_command"], told)
+    known = np.r_[0.0, s.command[:-1]] if reads_command else np.full(len(s.time), np.nan)
+    np.testing.assert_array_equal(given["current_command"], known)
     later = {"joint_torque", *WRENCH}  # known only once the plant has stepped
     for name in SENSED:
         if name in later:
@@ -212,7 +212,7 @@ def test_same_seed_same_bits_and_other_noise_elsewhere():
     assert (a.readings["link_position"] != c.readings["link_position"]).mean() > 0.2
 
 
-def test_a_model_serves_many_threads_and_is_left_as_it_is():
+def test_a_model_serves_many_threads_and_is_unchanged():
     """Temperatures and switches that the loop sets on its way are its own."""
     model = plant.build(JOINT, JOINT.mount("link"))
     flags = model.opt.disableflags
@@ -289,7 +289,7 @@ def test_a_new_sensor_is_one_channel_and_its_law(tmp_path):
     assert done.stdout.strip() == "done", done.stderr[-2000:]
 
 
-def test_a_payload_that_hangs_by_a_spring_is_felt_by_the_sensor():
+def test_a_flexible_payload_shows_in_the_sensor():
     """The wrench about the axis stays the joint's torque where part of the link's inertia swings on its own."""
     record = record_of(flexible_share=0.3, flexible_frequency=18.0, flexible_damping=0.02)
     s = run(sensing(), record=record)

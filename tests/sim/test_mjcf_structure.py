@@ -1,4 +1,4 @@
-"""An MJCF says how a joint looks. What acts is its description's, whatever the MJCF says."""
+"""An MJCF says how a joint looks. Only its description has dynamics."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ ACTS = {
     "floating": ('<body name="link" pos="0 0 0">', '<body name="link" pos="0 0 0" gravcomp="1">'),
     "body turned": ('<body name="flange">', '<body name="flange" euler="0 0.4 0">'),
     "body turned about another axis": ('<body name="flange">', '<body name="flange" euler="1.2 0 0">'),
-    "a weight beside the link": (
+    "a second weight": (
         '<site name="tip"',
         '<body name="weight" pos="0.1 0 -0.3"><inertial pos="0 0 0" mass="0.5" diaginertia="1e-4 1e-4 '
         '1e-4"/></body><site name="tip"',
@@ -85,7 +85,7 @@ ACTS = {
     "motor's delay": (MOTOR, MOTOR + ' nsample="5" delay="0.005"'),
     "motor's range": (MOTOR, MOTOR + ' ctrlrange="-0.01 0.01"'),
     "equality": (END, '<equality><joint joint1="link"/></equality></mujoco>'),
-    "numbers of its own": (END, '<custom><numeric name="n" data="1"/></custom></mujoco>'),
+    "own numbers": (END, '<custom><numeric name="n" data="1"/></custom></mujoco>'),
     "sensor cut off": ('<torque name="torque"', '<torque name="torque" cutoff="1"'),
     "sensor turned": ('<site name="force_torque" pos="0 0 0"', '<site name="force_torque" euler="1 0 0" pos="0 0 0"'),
     "no sensor": ('<torque name="torque"', '<torque name="twist"'),
@@ -103,7 +103,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_no_joint_is_refused_in_one_line(tmp_path, monkeypatch, case):
+def test_an_mjcf_without_a_joint_is_one_line(tmp_path, monkeypatch, case):
     old, new, expected = REFUSED[case]
     joint = joint_with(tmp_path, old, new)
     monkeypatch.chdir(tmp_path)
@@ -140,7 +140,7 @@ LOOKS = {
 
 @pytest.mark.parametrize("case", [*LOOKS, *ACTS])
 @pytest.mark.filterwarnings("ignore:.*in the MJCF:flexspline.models.errors.InputWarning")
-def test_it_changes_nothing_of_the_motion(tmp_path, case):
+def test_the_mjcfs_dynamics_do_not_change_the_motion(tmp_path, case):
     """Geometry and colours are the MJCF's; what acts is the YAML's alone: the same motion to the bit."""
 
     def moved(joint):
@@ -223,7 +223,7 @@ def test_an_include_that_includes_itself_ends(tmp_path):
         plant.build(joint_with(tmp_path, END, '<include file="loop.xml"/>' + END))
 
 
-def test_files_in_the_folder_are_welcome(tmp_path):
+def test_files_in_the_folder_are_accepted(tmp_path):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "lamp.xml").write_text(
         '<mujocoinclude><worldbody><light pos="0 0 2"/></worldbody></mujocoinclude>', encoding="utf-8"

@@ -134,7 +134,7 @@ def test_the_clock_stands_still_inside_and_is_back_afterwards():
     np.testing.assert_array_equal(np.concatenate([data.qpos, data.qvel]), np.concatenate([other.qpos, other.qvel]))
 
 
-def test_a_clock_of_somebody_else_is_left_alone():
+def test_another_clock_is_kept():
     asked = []
     model, data = started(record_of())
     mujoco.set_mjcb_time(lambda: float(asked.append(None) or len(asked)))

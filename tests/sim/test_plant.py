@@ -9,7 +9,7 @@ import pytest
 from driving import JOINT, PIECES, drive, record_of, relative
 from independent import solve, torques
 
-from flexspline.models.joint import Mounting
+from flexspline.models.joint_parts import Mounting
 from flexspline.sim import plant, plugin
 from flexspline.sim.verify import LIMITS, closed_loop, locked_rotor, loop_width, verify
 
@@ -182,8 +182,8 @@ def test_friction_follows_the_temperature():
 
 
 @pytest.mark.parametrize("share, frequency, damping", [(0.15, 25.0, 0.01), (0.3, 14.0, 0.03), (0.4, 10.0, 0.05)])
-def test_a_link_that_is_not_rigid_rings_at_its_own_frequency(share, frequency, damping):
-    """The rotor held, the springs nearly rigid, the link let go: what hangs on it by a spring rings as with the link held.
+def test_a_flexible_link_oscillates_at_its_own_frequency(share, frequency, damping):
+    """The rotor held, the springs nearly rigid, the link let go: the flexible part rings as with the link held.
 
     Frequency ω √(1 − ζ²) and logarithmic decrement 2πζ/√(1 − ζ²) of the free oscillation.
     """
@@ -220,7 +220,7 @@ def test_a_link_that_is_not_rigid_rings_at_its_own_frequency(share, frequency, d
 
 
 def test_second_resonance_of_a_free_joint():
-    """Link and hanging part against the flexspline: the plant's frequencies are the eigenvalues of its linear equations."""
+    """Link and flexible part against the flexspline: the plant's frequencies are the eigenvalues of its linear equations."""
     import mujoco
 
     record = record_of("no_load", flexible_share=0.3, flexible_frequency=18.0, flexible_damping=0.0, Jl=0.35, bl=0.0)
@@ -244,7 +244,7 @@ def test_second_resonance_of_a_free_joint():
     part = 0.3 * 0.35
     inertia = np.array(
         [[8.1e-6 * 100**2, 0, 0], [0, 0.35, part], [0, part, part]]
-    )  # wave generator/N, link, hanging part
+    )  # wave generator/N, link, flexible part
     stiffness = np.array([[9000 + 1.14 * 100**2, -9000, 0], [-9000, 9000, 0], [0, 0, part * w**2]])
     expected = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real)) / (2 * np.pi)
     for mode in expected[:2]:

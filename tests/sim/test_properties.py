@@ -63,7 +63,7 @@ def moved(record, amplitude, pulsation, push, own_noise):
 
 @FEW
 @given(symmetric, turning, st.floats(-0.4, 0.4), st.floats(1.0, 12.0), st.floats(-10.0, 10.0))
-def test_a_joint_turned_round_moves_the_other_way_to_the_bit(same, signed, amplitude, pulsation, push):
+def test_a_reversed_joint_moves_reversed_to_the_bit(same, signed, amplitude, pulsation, push):
     """θ → −θ with all phases, offsets and asymmetries of the other sign is the same equations of motion."""
     ways = []
     for sign in (1, -1):
@@ -86,7 +86,7 @@ def test_a_joint_turned_round_moves_the_other_way_to_the_bit(same, signed, ampli
     st.floats(0.01, 10.0),
     symmetric,
 )
-def test_a_sensor_that_nobody_reads_changes_nothing(name, seed, size, effects):
+def test_an_unread_sensor_changes_nothing(name, seed, size, effects):
     """Its noise, and the seed of its noise, reach its own channel and no other, nor the motion: the drive reads the encoder."""
     record = record_of(**effects)
     quiet = noise(JOINT, seed, 400, CONTROL_PERIOD)
@@ -102,7 +102,7 @@ def test_a_sensor_that_nobody_reads_changes_nothing(name, seed, size, effects):
 
 @FEW
 @given(st.sampled_from(["motor_current", "joint_torque"]), st.floats(0.0, 5.0), st.integers(0, 2**31))
-def test_how_noisy_a_sensor_is_leaves_the_noise_of_all_others(name, size, seed):
+def test_noise_of_a_sensor_does_not_change_that_of_others(name, size, seed):
     spec = getattr(JOINT.sensors, name).model_copy(update={"noise": size, "flicker": size})
     louder = JOINT.model_copy(update={"sensors": JOINT.sensors.model_copy(update={name: spec})})
     one, other = (noise(joint, seed, 50, CONTROL_PERIOD) for joint in (JOINT, louder))
@@ -118,7 +118,7 @@ def test_how_noisy_a_sensor_is_leaves_the_noise_of_all_others(name, size, seed):
 )
 @example({}, 0.046875, 0.001953125, "link", 0.5)
 @example({}, 0.040030434, -0.0019633096, "link", 0.395151339)
-def test_energy_only_falls_whatever_the_joint(effects, angle, wound, mounting, friction):
+def test_energy_only_falls_for_any_joint(effects, angle, wound, mounting, friction):
     """From rest with springs wound and no input: never more than there was, at a quarter of the plant's step.
 
     At the plant's own it may rise by a few per cent on the way where stiff springs are wound and friction is little (1.8 %

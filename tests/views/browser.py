@@ -1,4 +1,4 @@
-"""A page in a headless browser: what stands in its title after a script has looked."""
+"""A page in a headless browser: a script writes its result into the title."""
 
 from __future__ import annotations
 

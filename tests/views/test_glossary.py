@@ -1,4 +1,4 @@
-"""Every symbol that a page may show has a meaning, and only symbols are taken for them."""
+"""Every symbol of a page has a meaning, and only symbols are found in texts."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def test_every_number_that_calibration_moves_has_a_meaning(name):
 def test_orders_of_the_kinematic_error():
     assert meaning("A2") == "amplitude of the gear's kinematic error, 2 times per turn of the wave generator"
     assert meaning("φ1") == "phase of the gear's kinematic error, once per turn of the wave generator"
-    beside = "amplitude of the gear's kinematic error, 1.9802 times per turn of the wave generator; a quarter of a period further"
-    assert meaning("A1.9802′") == beside
+    text = "amplitude of the gear's kinematic error, 1.9802 times per turn of the wave generator; a quarter of a period further"
+    assert meaning("A1.9802′") == text
     assert meaning("Apple") == "" and meaning("") == ""
 
 

@@ -53,7 +53,7 @@ def columns(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def test_what_is_streamed_is_what_a_run_writes(tmp_path, rng):
-    """Every stretch to the bit, whatever its length; entities and values as in the run's recording."""
+    """Every stretch to the bit, for any length; entities and values as in the run's recording."""
     scenario, folder = load_scenario("external_push", CHANGES, 7)
     live = LiveRun(scenario, folder)
     assert "rts_smoother" not in live.names and "augmented" in live.names

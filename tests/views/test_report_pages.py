@@ -149,7 +149,7 @@ def contact_folder(tmp_path_factory) -> Path:
     detectors, curves = [], []
     for tolerance in (0.0, 1.0):
         found = [heard(name, (1 + tolerance) * worse, rng) for name, worse in DETECTORS]
-        detectors += contact_views.as_data({d.name: contact.at(d, d.threshold(50.0)) for d in found}, tolerance)
+        detectors += contact.ranked(found, 50.0, tolerance)
         curves += [row for d in found for row in contact.curve(d, tolerance)]
     answer = {
         "format": 1, "scenario": "collision", "joint": "my joint", "rate": 50.0, "hours": 0.3, "hours_counted": found[0].hours,
@@ -189,7 +189,7 @@ def cells_of(page: str) -> list[list[str]]:
 
 def test_contact_states_what_the_json_has(contact_page, contact_folder):
     """Every detector at every tolerance, with the same numbers as the terminal's table, and why one has none; each line has
-    a look of its own."""
+    a different look."""
     answer, text = json.loads((contact_folder / "contact.json").read_text()), text_of(contact_page)
     rows = [row for row in cells_of(contact_page) if row[0] != "estimator"]
     assert [row[0] for row in rows] == [d["estimator"] for d in answer["detectors"]]
@@ -344,7 +344,7 @@ def headline(runs: list[tuple[Run, Path]], arm: Path | None = None) -> str:
 
 
 def test_estimators_are_ranked_where_all_are_present(pushed, bare):
-    """One that is in a single joint is not called the closest, nor are those of others dropped for it."""
+    """An estimator of a single joint is not the closest, and does not remove the others."""
     best = min(pushed.estimates, key=lambda name: pushed.metrics["filters"][name]["rms"])
     alone = replace(bare, estimates={best: bare.estimates[best]})
     both = [(pushed, Path("arm/shoulder")), (alone, Path("arm/elbow"))]
@@ -517,7 +517,7 @@ def test_an_estimator_without_an_error_has_none_on_the_page(repair, tmp_path):
 
 
 def test_numbers_that_stand_beside_the_others_move_too(tmp_path):
-    """The link encoder's zero, kinematic error, how the link hangs, a sensor's delay."""
+    """The link encoder's zero, kinematic error, direction of gravity, a sensor's delay."""
     folders = []
     for name, zero, amplitude, phase, delay in (("before", 1e-3, 2e-5, 3.13, 0.0), ("after", 2e-3, 3e-5, -3.14, 3e-3)):
         folder = diagnosed(tmp_path / name, "consistent", [], {})
@@ -640,7 +640,7 @@ def test_nothing_is_wider_than_the_window(which, width, request, tmp_path):
     "which, most", [("run_page", 4), ("sweep_page", 2), ("repair_page", 2), ("contact_page", 2), ("validation_page", 2)]
 )
 def test_printed_pages_are_full(which, most, request, tmp_path):
-    """Charts stand beside each other on paper and headings by what they head, so that no sheet is half empty."""
+    """On paper, charts are in rows and headings stay with their content, so that no sheet is half empty."""
     assert 1 <= sheets(request.getfixturevalue(which), tmp_path) <= most
 
 

@@ -6,13 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from flexspline.models.errors import InputError
 from flexspline.sim import plant
 from flexspline.sim.shape import shape
-from flexspline.views.rerun import ModelledChannel, rerun_measurement, write_rerun
+from flexspline.views.rerun import write_rerun
 from flexspline.views.rerun.arrows import DEGREES_PER_TORQUE
+from flexspline.views.rerun.channels import ModelledChannel, send_channel
+from flexspline.views.rerun.recording import layout, series_view
 from flexspline.views.rerun.recording import recording as opened
 from flexspline.views.rerun.scene import send_geoms
 
@@ -76,12 +79,12 @@ def test_parts_of_the_torsion_add_up(recording):
 def test_the_flexsplines_part_is_the_one_that_carries_the_torque(recording, pushed):
     times, torsion = series(RrdReader(recording), "/torsion/flexspline")
     torque = np.interp(times, pushed.time, pushed.truth("joint_torque"))
-    small = np.abs(torque) < 3.5  # N·m, below the first knee
+    small = np.abs(torque) < 3.5  # N·m, below T1
     assert np.allclose(1e-3 * torsion[small] * 8400, torque[small], atol=0.15)
 
 
 def test_eighty_seconds_stay_below_twenty_megabytes(recording):
-    # Series have at most so many points whatever the duration; 4 s are already near that.
+    # Series have a largest number of points, which 4 s nearly reach.
     assert recording.stat().st_size < 8e6
 
 
@@ -100,17 +103,20 @@ def test_measured_against_simulated(tmp_path):
         ModelledChannel("joint torque", "N·m", time, measured, np.sin(time) + 0.1, {"with backlash": np.sin(time)}),
         ModelledChannel("motor current", "A", time, np.cos(time), np.cos(time)),
     ]
-    path = rerun_measurement(tmp_path / "measurement.rrd", "drop", channels, notes="# Drop")
+    path = tmp_path / "measurement.rrd"
+    with opened(path, "drop", layout(rrb.Vertical(series_view("joint torque", "channels")), 10.0)) as stream:
+        for channel in channels:
+            send_channel(stream, channel)
     reader = RrdReader(path)
     paths = set(reader.store().schema().entity_paths())
-    assert {"/channels/joint_torque/values/measured", "/channels/joint_torque/values/with_backlash", "/notes"} <= paths
+    assert {"/channels/joint_torque/values/measured", "/channels/joint_torque/values/with_backlash"} <= paths
     _, residual = series(reader, "/channels/joint_torque/residual/simulated")
     assert np.nanmax(np.abs(residual + 0.1)) < 1e-9
     assert np.count_nonzero(np.isnan(residual)) == 100
 
 
 def test_the_shape_is_the_plants(pushed):
-    """Bodies stand where those of the simulated model stand, which the views do not build."""
+    """Bodies have the positions of the simulated model, which the views do not build."""
     simulated, shown = plant.build(pushed.joint), shape(pushed.joint)
     places = []
     for model in (simulated, shown):
@@ -134,7 +140,7 @@ def test_arrows_of_torque_are_as_long_as_the_torque(recording, pushed):
     np.testing.assert_allclose(strips[:, 0, 0], 0.0, atol=1e-6)  # they begin above the axis
     lengths = np.linalg.norm(np.diff(strips, axis=1), axis=2).sum(axis=1)
     torque = np.interp(times, pushed.time, pushed.truth("joint_torque"))
-    swept = np.maximum(np.radians(DEGREES_PER_TORQUE * np.abs(torque)) - 0.22, 0.0)  # the head is an arrow of its own
+    swept = np.maximum(np.radians(DEGREES_PER_TORQUE * np.abs(torque)) - 0.22, 0.0)  # the head is another arrow
     radius = lengths.max() / swept.max()
     np.testing.assert_allclose(lengths, radius * swept, atol=0.01 * lengths.max())
 
@@ -162,4 +168,4 @@ def test_a_push_moves_the_link_the_way_its_arrow_points(pushed):
     axis, arm, torque = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -0.4]), 5.0
     direction = np.cross(axis, arm)
     assert np.isclose(np.cross(arm, direction) @ axis * torque, torque * 0.16)
-    assert direction[0] > 0  # a hanging link is pushed forward, to +x
+    assert direction[0] > 0  # a link at rest is pushed forward, to +x

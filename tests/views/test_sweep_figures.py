@@ -11,8 +11,8 @@ from rich.console import Console
 
 from flexspline.scenarios.studies.statistics import Aggregate, Interval
 from flexspline.scenarios.studies.study import Study
-from flexspline.views.sweep_figures import layout, sweep_figure
-from flexspline.views.sweep_tables import sweep_rows, sweep_table
+from flexspline.views.sweep_figures import sweep_figure
+from flexspline.views.sweep_tables import layout, sweep_rows, sweep_table
 
 
 def study(axes) -> Study:

@@ -103,7 +103,7 @@ def test_the_best_of_a_scenario_is_marked():
 
 
 def test_large_numbers_and_long_names_keep_the_table_whole():
-    """No number is longer than six characters, and a name is broken behind an underscore, if at all."""
+    """Numbers have at most six characters; names are broken after underscores only."""
     names = ("dynamics_ekf", "lowpass_first_order", "an_estimator_of_somebody_with_a_long_name")
     for size in (0.0, 9.9996, 999.9996, 17084.2, 123089.21, 4.5e7, 1.7e300, -4.2e4):
         values = {column.key: size for column in COLUMNS}

@@ -117,7 +117,7 @@ def listening(group: int) -> set[tuple[str, int]]:
 
 
 def readable(address: str) -> str:
-    """An address of /proc/net/tcp: IPv4 in dots, IPv6 as it stands."""
+    """An address of /proc/net/tcp: IPv4 in dots, IPv6 unchanged."""
     if len(address) == 8:
         return ".".join(str(int(address[i : i + 2], 16)) for i in (6, 4, 2, 0))
     return address

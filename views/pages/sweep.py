@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import shlex
 from collections.abc import Sequence
@@ -12,17 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...models import plugins
-from ..sweep_figures import layout, place_of
-from ..sweep_tables import cell, metric_column, sign_of, sweep_rows, value_text
+from ..sweep_tables import cell, metric_column, panels_of, sign_of, sweep_rows, value_text
 from .chart import Chart, limits
 from .rendering import render
 from .run import line_kinds
 
 if TYPE_CHECKING:
     from ...scenarios.studies.statistics import Aggregate
-    from ...scenarios.studies.study import Study, Value
+    from ...scenarios.studies.study import Study
 
-_SPREAD = 0.3  # of the distance between two points: offset of filters
 _SHOWN = 12  # charts at most
 
 
@@ -118,34 +115,21 @@ def _charts(study: Study, found: Sequence[Aggregate], metric: str, kinds: dict[s
     titles = {axis.name: axis.title for axis in study.axes}
     charts = []
     for scenario in dict.fromkeys(s.scenario for s in found):
-        here = [s for s in found if s.scenario == scenario]
-        across, panels = layout(here, study)
-        places: list[Value | None] = [
-            v for v in dict.fromkeys(s.columns.get(across) for s in here) if v is not None
-        ] or [None]
+        across, places, panels = panels_of([s for s in found if s.scenario == scenario], study, metric)
+        labels = tuple((float(k), value_text(v)) for k, v in enumerate(places))
         for panel in panels:
-            points: dict[str, list[tuple[float, float, float]]] = {}
-            for (i, name), (k, value) in itertools.product(enumerate(study.names), enumerate(places)):
-                s = place_of(here, name, across, value, panel)
-                one = s.values.get(metric) if s is not None else None
-                if one is not None and math.isfinite(one.mean):
-                    x = k + _SPREAD * (i - 0.5 * (len(study.names) - 1)) / max(len(study.names), 2)
-                    half = one.half if math.isfinite(one.half) else 0.0
-                    points.setdefault(name, []).append((x, column.scale * one.mean, column.scale * half))
-            if not points:
+            if not panel.lines:
                 continue
-            ends = np.array([(y - h, y + h) for line in points.values() for _, y, h in line]).ravel()
-            title = ", ".join([scenario, *(f"{titles.get(a, a)} {value_text(v)}" for a, v in panel.items())])
-            labels = tuple((float(k), value_text(v)) for k, v in enumerate(places))
+            ends = np.concatenate([(mean - half, mean + half) for _, mean, half in panel.lines.values()], axis=None)
+            title = ", ".join([scenario, *(f"{titles.get(a, a)} {value_text(v)}" for a, v in panel.at.items())])
             chart = Chart(
                 (-0.5, len(places) - 0.5), limits(np.append(ends, 0.0), 0.0), title, titles.get(across, ""), column.title,
                 labels=labels, width=540, height=260,
             )  # fmt: skip
-            for name, line in points.items():
-                xs, ys, _ = (np.array(v) for v in zip(*line, strict=True))
-                chart.line(xs, ys, kinds[name])
-                chart.dots(xs, ys, f"{kinds[name]} small")
-                for a, b, h in line:
+            for name, (x, mean, half) in panel.lines.items():
+                chart.line(x, mean, kinds[name])
+                chart.dots(x, mean, f"{kinds[name]} small")
+                for a, b, h in zip(x, mean, half, strict=True):
                     chart.line(np.array([a, a]), np.array([b - h, b + h]), f"{kinds[name]} whisker spread")
             charts.append([chart])
     return charts[:_SHOWN]

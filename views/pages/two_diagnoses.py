@@ -12,7 +12,8 @@ from ...models import causes, plugins
 from ...models.calibration import slots
 from ...models.errors import InputError
 from ...models.files import check_format, read_json
-from ...models.joint import Joint, Number, load_joint
+from ...models.joint import Joint, load_joint
+from ...models.joint_parts import Number
 from ...models.parameters import short_way
 from ..glossary import meaning
 from ..numbers import number, with_std

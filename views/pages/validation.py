@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ...models import plugins
 from ...models.errors import InputError
 from ...models.files import check_format, read_json
-from ...models.joint import beyond_sentence
+from ...models.joint_parts import beyond_sentence
 from ...models.recording import LARGEST
 from ...models.tables import read_table
 from ..numbers import number, percent
@@ -195,19 +196,19 @@ def _regions(answer: dict[str, Any]) -> list[tuple[str, bool, list[str]]]:
 def _commands(found: Validated) -> list[tuple[str, str]]:
     """Commands to run next, and what they do."""
     data = shlex.quote(str(found.answer.get("measurement") or "MEASUREMENT"))
-    joint = shlex.quote(str(found.answer.get("description") or "JOINT"))
+    joint, more = shlex.quote(str(found.answer.get("description") or "JOINT")), plugins.options()
     if _severe(found.answer):
-        return [(f"flexspline check {data} --joint {joint}", "names the mistake and its correction")]
+        return [(f"flexspline check {data} --joint {joint}{more}", "names the mistake and its correction")]
     estimate = (
-        f"flexspline estimate {data} --joint {joint} --out estimates",
+        f"flexspline estimate {data} --joint {joint} --out estimates{more}",
         "estimates the joint torque with this description",
     )
     diagnose = (
-        f"flexspline diagnose {data} --joint {joint} --out diagnosis",
+        f"flexspline diagnose {data} --joint {joint} --out diagnosis{more}",
         "finds the cause, and writes a joint that fits",
     )
     if not _holds(found.answer):
-        return [diagnose, (f"flexspline plan {data} --joint {joint}", "finds out what to measure next")]
+        return [diagnose, (f"flexspline plan {data} --joint {joint}{more}", "finds out what to measure next")]
     return [estimate, diagnose] if _above_noise(found.answer) else [estimate]
 
 

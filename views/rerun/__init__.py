@@ -5,7 +5,6 @@ so that a recording opens laid out. Entities of a run: `scene/…` the 3D joint,
 `mode/<filter>`, `robust_share/<filter>`, `torsion/…`, `external_torque`, `position/…`, `position_error`, `current/…`.
 """
 
-from .channels import ModelledChannel, rerun_measurement
 from .diagnosis import write_rerun_report
 from .live import LiveRecording
 from .overlay import write_rerun_overlay
@@ -13,8 +12,6 @@ from .run import write_rerun
 
 __all__ = [
     "LiveRecording",
-    "ModelledChannel",
-    "rerun_measurement",
     "write_rerun",
     "write_rerun_overlay",
     "write_rerun_report",

@@ -1,17 +1,15 @@
-"""Measured and simulated quantities: values above, residuals below, a tab each."""
+"""Measured and simulated quantities with their residuals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from ..style import SENSOR, TRUTH
-from .recording import layout, recording, send_series, series_view
+from .recording import send_series
 
 BEFORE, AFTER = "#E0533D", TRUTH
 """Colours of the simulation and of the improved one, as on the page."""
@@ -42,43 +40,6 @@ class ModelledChannel:
     def path(self) -> str:
         """Entity path."""
         return self.below + self.name.replace(" ", "_").replace("/", "_")
-
-
-def rerun_measurement(path: Path, name: str, channels: Sequence[ModelledChannel], notes: str = "") -> Path:
-    """Write measured and simulated channels as a recording: values above, residuals below, a tab each.
-
-    Args:
-      path: of the `.rrd` file.
-      name: of the recording in the viewer.
-      channels: to show.
-      notes: Markdown for a panel of notes, if any.
-
-    Returns:
-      The path.
-
-    Raises:
-      InputError: the file cannot be written.
-    """
-    root: rrb.Container = rrb.Tabs(contents=[channel_panel(channel) for channel in channels])
-    if notes:
-        root = rrb.Horizontal(root, rrb.TextDocumentView(origin="notes", name="Notes"), column_shares=[3, 1])
-    end = max((float(channel.time[-1]) for channel in channels if len(channel.time)), default=0.0)
-    with recording(path, name, layout(root, end)) as stream:
-        for channel in channels:
-            send_channel(stream, channel)
-        if notes:
-            stream.log("notes", rr.TextDocument(notes, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
-    return Path(path)
-
-
-def channel_panel(channel: ModelledChannel) -> rrb.Container:
-    """Return the panel of a channel: values above, residuals below."""
-    return rrb.Vertical(
-        series_view(f"{channel.name} [{channel.unit}]", f"{channel.path}/values"),
-        series_view(f"measured − simulated [{channel.unit}]", f"{channel.path}/residual"),
-        row_shares=[3, 2],
-        name=channel.name,
-    )
 
 
 def send_channel(stream: rr.RecordingStream, channel: ModelledChannel) -> None:

@@ -87,7 +87,7 @@ def test_thresholds_give_the_rate_they_are_for():
         assert exact == pytest.approx(rate, abs=4 * spread)
         assert np.mean(one.alarms(c)) == pytest.approx(exact, abs=4 * spread)
         point = contact.at(one, c, 100)
-        assert point.alarms.low < exact < point.alarms.high
+        assert point["false_alarms_per_hour_low"] < exact < point["false_alarms_per_hour_high"]
     assert math.isnan(one.threshold(0.5))  # half an hour does not show it
     assert np.all(np.diff(one.thresholds()) > 0)
 
@@ -104,8 +104,8 @@ def test_delay_and_what_is_found():
     alarmed = Detector("white", one.quiet, one.size, np.full_like(one.size, 3.0), one.rising)
     assert not alarmed.found(2.0).any()
     point = contact.at(one, 2.0, 50)
-    assert point.share.mean == 1.0 and point.smallest.mean == pytest.approx(2.0, rel=0.1)
-    assert point.delay.low < point.delay.mean < point.delay.high
+    assert point["found_of_large"] == 1.0 and point["smallest_push"] == pytest.approx(2.0, rel=0.1)
+    assert point["delay_low"] < point["delay"] < point["delay_high"]
 
 
 def test_smallest_push_by_logistic_regression():
@@ -133,7 +133,7 @@ def test_pushes_are_apart_and_within():
 
 @pytest.mark.slow
 def test_the_whole_of_it():
-    """Few short runs: shapes, the sensor beside the estimators, a large push found, same for any number of threads."""
+    """Few short runs: shapes, the sensor among the estimators, a large push found, same for any number of threads."""
     scenario, folder = load_scenario(
         "collision", ["duration=12", "trajectory=[{time: 1, position: 0}, {time: 9, position: 0.8}]"]
     )

@@ -7,15 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
+from benchmarks.draws import draw, geometric
 from benchmarks.estimators import geometric_over
-from flexspline.scenarios.evaluation.draws import (
-    TURNS,
-    draw,
-    drawn_record,
-    geometric,
-    known_within,
-    varied,
-)
+from flexspline.scenarios.evaluation.draws import TURNS, drawn_record, known_within, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 
@@ -44,7 +38,7 @@ def test_everything_is_drawn(pushed):
 
 
 def test_pushes_of_a_scenario_that_is_cut_stay_outside_it(pushed):
-    """What begins after the end is not drawn into it, and a walk, another for each seed as it is, stays whole."""
+    """Disturbances after the end stay after it, and a walk, which depends on the seed already, is unchanged."""
     scenario, _ = pushed
     end = scenario.disturbances[0].start + scenario.disturbances[0].duration
     cut = scenario.model_copy(update={"duration": end + 0.1})
@@ -57,7 +51,7 @@ def test_pushes_of_a_scenario_that_is_cut_stay_outside_it(pushed):
 
 
 def test_joints_grow_with_the_tolerance(pushed):
-    """Twice the tolerance is the same joint, twice as far from nominal; a tared zero stays."""
+    """Twice the tolerance is the same joint, twice as far from nominal; a known zero stays."""
     scenario, folder = pushed
     experiment = Experiment.of(scenario, folder)
     nominal = experiment.record[0]

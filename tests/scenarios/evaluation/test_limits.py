@@ -1,4 +1,4 @@
-"""Estimators beside the bounds."""
+"""Estimators and the bounds."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from flexspline.scenarios.scenario import load_scenario
 
 
 def test_the_wrench_tells_force_and_lever(tmp_path):
-    """Newton's law with MuJoCo's own force sensor: what is left is the low-pass's lag at the pushes' edges."""
+    """Newton's law with MuJoCo's own force sensor: the rest is the low-pass's lag at the pushes' edges."""
     run = run_scenario(*load_scenario("tip_force"))
     found = run.tip_force
     assert found is not None and np.ptp(found.truth) == pytest.approx(15.0 + 12.5, abs=0.1)
@@ -38,7 +38,7 @@ def test_a_torque_alone_is_no_force_and_levers_must_agree():
 
 
 def test_no_push_no_lever(tmp_path):
-    """A run that ends before the first push was told where "it" acts, from noise."""
+    """A run that ends before the first push has no lever, not one from noise."""
     run = run_scenario(*load_scenario("tip_force", ["duration=3", "filters=[RAREKF]"]))
     assert run.tip_force is not None and np.isnan(run.tip_force.lever)
     assert any("force at the link" in note for note in run.notes) and not any("acts at" in note for note in run.notes)

@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 from benchmarks import torque_loops as torque_control
+from benchmarks.draws import median
 from flexspline.models import laws
 from flexspline.models.errors import InputError
-from flexspline.scenarios.evaluation.intervals import median
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim.loop import CONTROL_PERIOD
 

@@ -83,7 +83,7 @@ def test_a_killed_worker_costs_nothing_but_time(cluster, tmp_path):
     watcher.close()
     print(f"killed after {len(written)} chunks with {lost} under way")
     assert workers[0].returncode == -signal.SIGKILL and workers[1].poll() is None
-    assert len(written) == design.runs, "a chunk came twice, or not at all"
+    assert len(written) == design.runs, "a chunk came twice, or never"
     assert rows(dataset).num_rows == design.runs * 3
     assert same(dataset, run(tmp_path / "threads", asked, jobs=2))
 

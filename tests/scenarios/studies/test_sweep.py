@@ -59,7 +59,7 @@ def test_any_parquet_reader_takes_the_rows(done):
 
 
 class Stop(Exception):
-    """Stands for whatever ends a sweep before its time."""
+    """An interruption of a sweep."""
 
 
 def test_interrupted_and_resumed_is_the_same_to_the_bit(done, tmp_path):

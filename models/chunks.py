@@ -1,4 +1,4 @@
-"""Columns of a long recording, in files instead of memory."""
+"""Long series in parts, and columns in files instead of memory."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from . import streams
 from .tables import naming
 
+BLOCK = 1 << 16
+"""Samples of a long series per part: they fit a processor's cache."""
 
-class Spool(Mapping[str, np.ndarray]):
-    """Columns of float64 by name, shape (n,) each, in memory or in files."""
+
+def parts(count: int, block: int = BLOCK) -> Iterator[slice]:
+    """Yield the parts of a series of `count` samples, each of `block`, the last of the rest."""
+    return (slice(begin, min(begin + block, count)) for begin in range(0, count, block))
+
+
+class StoredColumns(Mapping[str, np.ndarray]):
+    """Columns of float64 by name, shape (n,) each, in memory or in files; parts without values are NaN."""
 
     def __init__(self, n: int, folder: Path | None = None, stem: str = ""):
         """Start without columns. `folder`: existing, for files whose names begin with `stem`; None: in memory."""
@@ -22,7 +29,7 @@ class Spool(Mapping[str, np.ndarray]):
         self._lock = threading.Lock()
 
     def put(self, name: str, part: slice, values: np.ndarray) -> None:
-        """Write a part of a column; other parts are NaN."""
+        """Write a part of a column."""
         with self._lock:
             column = self._columns.get(name)
             if column is None:
@@ -39,12 +46,12 @@ class Spool(Mapping[str, np.ndarray]):
             return np.full(self._n, np.nan)
         path = self._folder / f"{self._stem}_{len(self._columns)}"
         with naming(path), path.open("wb") as file:
-            for blank in streams.parts(self._n):
-                file.write(np.full(blank.stop - blank.start, np.nan).data)
+            for part in parts(self._n):
+                file.write(np.full(part.stop - part.start, np.nan).data)
         return path
 
     def keep(self, names: Sequence[str]) -> None:
-        """Select and order columns; one without values is NaN."""
+        """Select and order columns."""
         self._columns = {name: self._columns[name] if name in self._columns else self._blank() for name in names}
 
     def __getitem__(self, name: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Joint-dynamics extended Kalman filter: encoders and current through the joint's own equations.
+"""Joint-dynamics extended and unscented Kalman filters: encoders and current through the joint's own equations.
 
 State and laws: `joint_model`; the filter: `dynamics_filter`. The current is an input, the encoders are the
 measurements. The record counts as exact. With `process.stiffness` and `process.motor_constant` (0.07 and 0.02, the
@@ -50,4 +50,32 @@ class DynamicsEKF(CausalEstimator):
         return found
 
 
-ESTIMATORS = (DynamicsEKF(),)
+@step_of(FILTER, SETTINGS, OUT)
+def _unscented_step(m, s, p, c, o):
+    torque, variance = filter_step(m, s, c, p, True)
+    return write_out(m, torque, variance, o)
+
+
+@dataclass(frozen=True)
+class DynamicsUKF(DynamicsEKF):
+    """Unscented Kalman filter on the joint's dynamics; the update is the EKF's, as the encoders are linear in the state.
+
+    Attributes:
+      process: deviation of the joint from its equations.
+      kappa: κ [1], spread of the sigma points.
+    """
+
+    name: str = "dynamics_ukf"
+    kappa: float = 1.0
+    description: ClassVar[str] = (
+        "unscented Kalman filter on the joint's own equations of motion (Julier & Uhlmann 1997)"
+    )
+    compiled: ClassVar[Step] = _unscented_step
+
+    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        found = super().settings(joint, interval)
+        found["kappa"] = self.kappa
+        return found
+
+
+ESTIMATORS = (DynamicsEKF(), DynamicsUKF())

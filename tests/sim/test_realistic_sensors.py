@@ -1,4 +1,4 @@
-"""Sensors, clock and drive as they are: a force at a point of the link in the wrench, crosstalk, a drive that lags, jitter."""
+"""Realistic sensors, clock and drive: a force at a point of the link in the wrench, crosstalk, a drive that lags, jitter."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from driving import JOINT
 from looping import motion, simulate
 
-from flexspline.models.joint import WrenchSpec
+from flexspline.models.joint_parts import WrenchSpec
 from flexspline.models.signals import SENSED, WRENCH
 from flexspline.sim import plant
 from flexspline.sim.drive import Controller
@@ -19,7 +19,7 @@ from flexspline.sim.sensors import noise, realistic, sensor_records, time_stamps
 
 
 def run(joint=JOINT, controller=None, **more):
-    """The loop of `looping.run`, with whatever is asked for."""
+    """The loop of `looping.run`, with options."""
     mounted = joint.mount("link")
     record = joint.record(mounted)
     position, velocity, external = motion(seconds=1.0)
@@ -31,7 +31,7 @@ def run(joint=JOINT, controller=None, **more):
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, -1.9])
-def test_what_a_force_at_a_point_does_to_the_wrench(angle):
+def test_wrench_of_a_force_at_a_point(angle):
     """MuJoCo's own force and torque sensor, under a force at the point and under its torque alone: 12.5 N for 5 N·m at 0.4 m."""
     lever, torque = 0.4, 5.0
     model = plant.build(JOINT, JOINT.mount("link"))
@@ -57,7 +57,7 @@ def test_what_a_force_at_a_point_does_to_the_wrench(angle):
     np.testing.assert_allclose(found[0] - found[1], [torque / lever, 0, 0, 0, 0, 0], atol=1e-9)
 
 
-def test_the_loops_wrench_shows_the_force_and_nothing_else_changes():
+def test_the_loops_wrench_shows_the_force_and_other_channels_do_not_change():
     external = motion(seconds=1.0)[2]
     plain, pushed = run(), run(tip_force=external / 0.4)
     assert plain.truth.tobytes() == pushed.truth.tobytes() and plain.command.tobytes() == pushed.command.tobytes()
@@ -120,7 +120,7 @@ def test_gains_of_a_lagging_drive_keep_its_phase_margin():
     assert margin(Controller(delay=4e-3)) < own - 30.0
 
 
-def test_time_stamps_increase_and_are_off_by_so_much():
+def test_time_stamps_increase_with_the_stated_jitter():
     time = np.arange(20_000) * 1e-3
     assert time_stamps(time, 0.0, 1) is time
     found = time_stamps(time, 1e-4, 1)
