@@ -29,8 +29,8 @@ from .improvement import serves
 from .regression import Regression, regressions
 from .search import discrepancy
 from .search.calibrate import CHANCE, PLAINLY, calibrate
-from .search.contribution import alone, excess, noise_square
-from .search.explore import Explored, Explorer, Progress
+from .search.contribution import excess, noise_square
+from .search.explore import Explored, Explorer, Progress, without
 from .search.identifiability import limits
 from .search.least_squares import fitter_in_motion, least_squares, regression_fit
 from .search.posterior import IMPERFECTION, TRACE, quiet_rms
@@ -157,11 +157,9 @@ def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
     if any(not h.free for h in best.model):  # an unknown effect would take the place of any cause
         return found
     while best.model:
-        fewer = [
-            fitter.fit(tuple(g for g in best.model if g is not h), best.theta[alone(problem, best, i)[1]])
-            for i, h in enumerate(best.model)
-        ]
-        less = min(fewer, key=lambda f: _unseen(problem, f))
+        linear = [without(problem, best, i) for i in range(len(best.model))]
+        start = min(linear, key=lambda one: one[1])[0]  # the cause of which the data say least
+        less = fitter.fit(start.model, start.theta)
         if _unseen(problem, less) > _unseen(problem, best):
             break
         best = less
