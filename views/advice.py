@@ -60,7 +60,7 @@ def determined(p: ParameterEstimate, q: CauseParameter, joint: Joint) -> bool:
     """Whether the data determine a parameter: a phase to a quarter of a turn, a size to its own deviation from neutral."""
     if q.period:
         return p.std < 0.25 * q.period
-    neutral = q.neutral * (float(joint.record()[0][q.relative]) if q.relative else 1.0)
+    neutral = q.neutral * (float(joint.bare_record()[0][q.relative]) if q.relative else 1.0)
     return not q.magnitude or p.std < abs(p.value - neutral)
 
 
@@ -72,7 +72,7 @@ def _everyday(p: ParameterEstimate, q: CauseParameter, joint: Joint) -> str:
     if q.integer:
         return f"{value:g}"
     if q.relative or q.name in ("scale", "gain"):
-        change = value / (float(joint.record()[0][q.relative]) if q.relative else 1.0) - 1.0
+        change = value / (float(joint.bare_record()[0][q.relative]) if q.relative else 1.0) - 1.0
         return f"{100 * abs(change):.2g} % {'above' if change > 0 else 'below'} the described value"
     if q.unit == "rad":
         small = q.name in ("amplitude", "width", "extent")

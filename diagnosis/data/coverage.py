@@ -261,14 +261,13 @@ def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
     """
     columns = {column for r in measurement.recordings for column in r.columns}
     cause = causes.get(name)
-    if cause.requires.arm and all(r.load is None for r in measurement.recordings):
-        return False
-    return shows_in(cause, columns, link_measured) and next(_too_slow(cause, _rate(measurement)), None) is None
+    arm = any(r.load is not None for r in measurement.recordings)
+    return shows_in(cause, columns, link_measured, arm) and next(_too_slow(cause, _rate(measurement)), None) is None
 
 
-def shows_in(cause: Cause, columns: Set[str], both_encoders: bool) -> bool:
+def shows_in(cause: Cause, columns: Set[str], both_encoders: bool, arm: bool = False) -> bool:
     """Return whether a cause can show in these channels, with or without both encoders in one recording."""
-    return next(_hidden_from(cause, columns, both_encoders), None) is None
+    return (arm or not cause.requires.arm) and next(_hidden_from(cause, columns, both_encoders), None) is None
 
 
 def _rate(measurement: Measurement) -> float:

@@ -333,11 +333,13 @@ class _Derivatives:
         """Return all; those in effects that have moved far are renewed."""
         problem, model = self.problem, self.model
         old = [i for i in range(len(model)) if self.effects[i] is None or self._moved(i, theta) > CHORD]
-        if old:  # all in one call: several directions are computed at a time
-            blocks = [problem.place(model, i) for i in old]
-            found = problem.jacobian(theta, model, np.concatenate([np.arange(b.start, b.stop) for b in blocks]))
-            ends = np.cumsum([0, *(model[i].size for i in old)])
-            for i, block, begin, end in zip(old, blocks, ends[:-1], ends[1:], strict=True):
+        # Several directions are computed at a time; a spline has enough of them.
+        for group in ([i for i in old if model[i].free], *([i] for i in old if not model[i].free)):
+            blocks = [problem.place(model, i) for i in group]
+            columns = [np.arange(block.start, block.stop) for block in blocks]
+            found = problem.jacobian(theta, model, np.concatenate(columns)) if group else []
+            ends = np.cumsum([0, *map(len, columns)])
+            for i, block, begin, end in zip(group, blocks, ends[:-1], ends[1:], strict=True):
                 self.effects[i], self.at[i] = [J[..., begin:end] for J in found], theta[block].copy()
         assert self.common is not None
         parts = [self.common, *(c for c in self.effects if c is not None)]

@@ -1,4 +1,4 @@
-"""A calibration, a joint as estimators know it, and signals for them."""
+"""A calibration, a known joint, and signals for estimators."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def calibration() -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def known() -> KnownJoint:
-    """What is known of the test joint under a link."""
+    """The test joint with a link, as estimators know it."""
     joint = load_joint("test-joint")
     return KnownJoint.of(joint, joint.mount("link"))
 
 
 @pytest.fixture(scope="session")
 def signals(known) -> Signals:
-    """Two seconds of something that turns, loads and stops; quantised and noisy. Not a joint's, but a joint's size."""
+    """Two seconds of motion, loading and rest, quantised and noisy; of a joint's size, not of a joint's equations."""
     rng = np.random.default_rng(5)
     time = np.arange(2000) * 1e-3
     motor = 4.0 * np.sin(2.0 * np.minimum(time, 1.2))

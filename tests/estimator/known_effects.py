@@ -22,7 +22,7 @@ DRAWS = (11, 12, 13)
 
 
 class Middle:
-    """Stands for a random generator: the middle of every range, and a draw where a range is a whole turn or a choice."""
+    """A random generator that gives the middle of every range, and draws whole turns and choices."""
 
     def __init__(self, seed: int):
         self.rng = np.random.default_rng(seed)

@@ -1,4 +1,5 @@
-"""The augmented Kalman filter on a joint within tolerance: better than torsion, honest about it, still at rest."""
+"""The augmented Kalman filter on a joint within tolerance: more accurate than torsion, consistent, and constant at
+rest."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ def test_on_a_joint_within_tolerance(pushed):
 
 
 def test_on_an_exact_joint():
-    """What the current does to the drive is seen in the torque: less than half of what torsion alone leaves."""
+    """The current improves the torque: less than half of the error from torsion alone."""
     scenario, folder = load_scenario("external_push")
     few = [d for d in scenario.disturbances if d.start < 9.0]
     one = draw(scenario.model_copy(update={"duration": 10.0, "disturbances": few}), folder, 203, tolerance=0.0)
@@ -47,7 +48,7 @@ def test_on_an_exact_joint():
 
 
 def test_jitter_of_the_clock_is_detected(pushed):
-    """Stamps that are off by 0.1 ms while the samples are even cost next to nothing; right stamps of uneven samples are used."""
+    """Stamps off by 0.1 ms of even samples hardly change the error; right stamps of uneven samples are used."""
     rng = np.random.default_rng(6)
     augmented = registry.get("augmented")
     right = rms(augmented.estimate(pushed.signals, pushed.known).mean - pushed.truth, pushed.kept)
@@ -63,8 +64,8 @@ def test_jitter_of_the_clock_is_detected(pushed):
 
 
 def test_rounding_does_not_change_decisions(pushed):
-    """What differs in the twelfth digit, as after another unit's conversion, changes an estimate by next to nothing: readings of
-    one count stay one count, and no time that is a sum of intervals falls on an instant."""
+    """A change in the twelfth digit, as by a unit conversion, hardly changes an estimate: equal counts stay equal,
+    and no sum of intervals is at a threshold."""
     found = registry.get("augmented").estimate(pushed.signals, pushed.known).mean
     rng = np.random.default_rng(5)
 
@@ -79,7 +80,7 @@ def test_rounding_does_not_change_decisions(pushed):
 
 
 def test_an_exact_joint_has_nothing_to_learn(pushed):
-    """Without spread every constant stays what the record says; with it, they move, within what is known of them."""
+    """Without spread every constant stays as in the record; with it, constants change within their deviations."""
     known = registry.get("augmented").estimate(pushed.signals, pushed.known)
     exact = registry.get("augmented").estimate(pushed.signals, pushed.known.within(0.0))
     for name in ("stiffness_error", "wave_generator_error", "friction_error"):
@@ -90,7 +91,7 @@ def test_an_exact_joint_has_nothing_to_learn(pushed):
 
 
 def test_still_at_rest():
-    """20 s of rest under load: the estimate does not drift, and its variance does not fall to nothing."""
+    """20 s of rest under load: the estimate does not drift, and its variance does not go to zero."""
     scenario, folder = load_scenario("link_sweep")
     rest = scenario.model_copy(update={"trajectory": [scenario.trajectory[-1]], "duration": 20.0})
     one = draw(rest, folder, 202)
@@ -137,7 +138,8 @@ def test_jittering_time_stamps_are_not_a_contact():
     ("name", "seed"), [("link_sweep", 129), ("link_sweep", 123), ("no_load", 128), ("external_push", 107)]
 )
 def test_an_unknown_zero_is_found_with_a_consistent_variance(name, seed):
-    """Zeros off by more than the torsion between two breakpoints of the spring: it was 1 to 6 N·m off, and sure to 0.15 N·m."""
+    """Zeros with an error above the torsion between two breakpoints: the error was 1 to 6 N·m with a deviation of
+    0.15 N·m."""
     scenario, folder = load_scenario(name)
     one = draw(scenario.model_copy(update={"duration": 14.0}), folder, seed, tared=False)
     off, torsion = one.record["link_zero"][0], one.known.p["T2"] / one.known.p["K2"]

@@ -1,4 +1,4 @@
-"""The augmented filter's model against the joint's equations: what it predicts, what it takes for its error, what it learns."""
+"""The augmented filter's model against the joint's equations: predictions, errors and learning."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ UNITS = np.r_[
 
 @dataclass
 class Midway:
-    """The filter after a part of a recording, ready to take its next sample from any state and covariance.
+    """The filter after a part of a recording, ready for its next sample from any state and covariance.
 
     Attributes:
-      joint: what it knows. memory, settings: its records. sample: the next one.
+      joint: the known joint. memory, settings: its records. sample: the next one.
     """
 
     joint: KnownJoint
@@ -182,7 +182,7 @@ def test_it_moves_by_the_joints_equations(case):
 
 @pytest.mark.parametrize("slow", [0.4, -0.4])
 def test_more_friction_bends_the_bristle_the_way_it_turns(slow):
-    """However slowly: of a wave generator at ±0.4 rad/s the bristle's rate by friction's error has the sign of the motion."""
+    """At any speed: at ±0.4 rad/s the bristle's rate by friction's error has the sign of the motion."""
     midway = disturbed(Midway.of("plain", interval=MOMENT), wave_rate=slow, bristle=0.5e-3 * np.sign(slow))
     P = np.zeros((SIZE, SIZE))
     i, j = AT["bristle"], FIXED
@@ -221,7 +221,7 @@ def test_errors_grow_by_the_equations_linearised(changes):
 @pytest.mark.parametrize("case", ["plain", "rich"])
 @pytest.mark.parametrize("interval", [1e-3, 4e-3])
 def test_errors_grow_as_states_part(case, interval):
-    """Over a whole interval, substep after substep: F P Fᵀ of small errors of everything against where states go from there."""
+    """Over an interval of many substeps: F P Fᵀ of small errors against the difference of propagated states."""
     midway = disturbed(Midway.of(case, interval=interval, friction_load=0.0, hysteresis_torque=0.0))
     rng = np.random.default_rng(8)
     L = rng.standard_normal((SIZE, SIZE)) * UNITS[:, None]
@@ -250,7 +250,7 @@ def seeing(case: str, deviation: float = 0.02) -> Midway:
 
 
 def test_sensitivity_of_torsion_to_the_joints_numbers():
-    """An error of a number in the state says of torsion's torque what the number itself, changed in the record, says."""
+    """An error of a number in the state changes torsion's torque as a change of the record does."""
     midway = seeing("plain")
     p = midway.joint.p
 
@@ -287,8 +287,8 @@ def test_sensitivity_of_torsion_to_the_joints_numbers():
 @pytest.mark.parametrize("learn", [True, False])
 @pytest.mark.parametrize("case", ["plain", "rich"])
 def test_it_is_a_kalman_filter_that_may_consider(case, learn):
-    """The textbook's update along the innovation's own derivative; what is constant stays without leave to learn (Schmidt), and
-    weight, inertia and torque constant always do."""
+    """The textbook's update along the innovation's derivative; constants change only if learning is due (Schmidt),
+    and weight, inertia and torque constant never."""
     midway = seeing(case)
     rng = np.random.default_rng(9)
     L = rng.standard_normal((SIZE, SIZE)) * UNITS[:, None]
@@ -322,7 +322,7 @@ def test_it_is_a_kalman_filter_that_may_consider(case, learn):
 
 
 def test_constants_are_learned_after_a_tenth_of_a_second_of_sliding():
-    """By the sample that completes it, however the sum of intervals is rounded."""
+    """From the sample that completes it, for any rounding of the sum of intervals."""
     midway = seeing("plain")
     midway.sample["interval"], midway.settings["sliding"] = 1e-3, 0.0
     midway.settings["settled"], midway.settings["coarse"] = 0.1, np.inf
@@ -335,7 +335,7 @@ def test_constants_are_learned_after_a_tenth_of_a_second_of_sliding():
 
 
 def test_calm_needs_small_innovations_and_no_contact():
-    """All three; any of them ends it, and with it the time that was slid. It is due at half a second, then again and again."""
+    """Any contradiction ends calm and the sliding time. Learning is due after half a second, then repeatedly."""
     midway = seeing("plain")
     midway.sample["interval"], h = 1e-3, 1e-3
     c, still = midway.settings, 0.9 * midway.settings["sliding"]
@@ -360,7 +360,7 @@ def test_calm_needs_small_innovations_and_no_contact():
 
 @pytest.mark.parametrize("by", ["motion", "rest"])
 def test_at_rest_constants_are_learned_from_large_torsion_innovations_only(by):
-    """Constants: in motion of any innovation; at rest of torsion's alone, where it is known no better than a hundredth of T2."""
+    """In motion from any innovation; at rest from torsion's only, if its deviation is above a hundredth of T2."""
     midway = seeing("plain")
     midway.sample["interval"] = 1e-3
     c, before = midway.settings, midway.memory["x"][FIXED:].copy()
@@ -391,7 +391,7 @@ def S0(midway: Midway) -> float:
 
 
 def test_noise_grows_with_time_and_contradiction():
-    """Of a state that is known: white noise is proportional to the interval, held torque by its square, what forgets settles."""
+    """White noise is proportional to the interval, constant torque to its square, a forgetting state settles."""
     midway = disturbed(Midway.of("plain"))
     c, p = midway.settings, midway.joint.p
 
@@ -432,7 +432,8 @@ def test_noise_grows_with_time_and_contradiction():
 
 
 def test_a_repeated_count_has_a_growing_variance():
-    """The n-th in a row has n times a count's variance, to the link encoder as to torsion; a new count of either is news."""
+    """The n-th repeat has n times a count's variance, for the link encoder and torsion; a new count of either resets
+    it."""
     midway = disturbed(Midway.of("plain"))
     midway.settings["link_variance"], midway.settings["torsion_variance"] = 1e-11, 2e-11
     midway.settings["prior"][AT["count"]] = 0.0
@@ -497,7 +498,7 @@ def test_external_torque_decays_without_contact():
 
 
 def test_the_torque_is_the_joints():
-    """Ts = T + df·(r·ωw − ωl) − bl·ωl with the variance that P means, more where innovations contradict."""
+    """Ts = T + df·(r·ωw − ωl) − bl·ωl with the variance by P, larger while innovations contradict."""
     midway = disturbed(Midway.of("plain"))
     rng = np.random.default_rng(10)
     L = rng.standard_normal((SIZE, SIZE)) * UNITS[:, None]
@@ -518,7 +519,7 @@ def test_the_torque_is_the_joints():
 
 
 def test_constants_are_learned_in_calm_motion_at_intervals():
-    """Not before half a second of calm and a tenth of sliding, then every 50 ms; after a push not before as long again."""
+    """After half a second of calm and a tenth of sliding, then every 50 ms; after a push again."""
     known = seen("plain")[1]
     calm, pushed = (signals_of(PLAIN, SEED, push)[0].part(slice(0, 6000)) for push in (False, True))
     sliding = np.abs(np.gradient(calm["motor_position"], calm.time)) > 2.5 * known.p["vs"]
@@ -541,8 +542,8 @@ def test_constants_are_learned_in_calm_motion_at_intervals():
 
 @pytest.mark.parametrize("current", [0.0, 0.3, -0.3])
 def test_it_starts_in_equilibrium_with_an_unknown_velocity(current):
-    """At the first readings: torques as torsion and current have them, friction takes the rest as far as it can; a velocity of
-    up to 1 rad/s of the whole joint at once."""
+    """At the first readings: torques by torsion and current, friction takes the difference up to its level; a
+    velocity of up to 1 rad/s of the whole joint."""
     _, known = seen("plain")
     p, step = known.p, registry.get("augmented").step(known, 1e-3)
     columns = {
@@ -569,7 +570,7 @@ def test_it_starts_in_equilibrium_with_an_unknown_velocity(current):
 
 
 def test_prior_of_the_flexible_part():
-    """And its velocity has as much energy as that: both filters that carry it."""
+    """Its angle as under a tenth of the joint's torque, its velocity with as much energy, in both filters."""
     _, known = seen("rich")
     p = known.p
     prior = registry.get("augmented").settings(known, 1e-3)[0]["prior"]
@@ -585,7 +586,7 @@ def test_prior_of_the_flexible_part():
 
 
 def test_the_grid_of_samples_follows_the_stamps():
-    """A stamp that is off moves the grid by a fiftieth, the period by its share of those so far; missing samples neither."""
+    """A stamp's error moves the grid by a fiftieth, the period by its share so far; missing samples move neither."""
     midway = disturbed(Midway.of("plain"))
     off = 4e-5
     for interval, steps in ((1e-3, 1), (1e-3 + off, 1), (1e-3 - off, 1), (3e-3, 3), (3e-3 + off, 3)):
@@ -602,7 +603,7 @@ def test_the_grid_of_samples_follows_the_stamps():
 
 
 def test_the_interval_follows_the_trust_in_stamps():
-    """In between, as of an interval that is off by less; by the link's readings, belief is a regression on what it moved."""
+    """The interval is between stamp and grid; the trust is a regression on the link's motion."""
     midway = disturbed(Midway.of("plain"))
     off, quarter = 8e-5, 0.25
     midway.sample["interval"] = 1e-3 + off
@@ -645,7 +646,7 @@ def test_the_interval_follows_the_trust_in_stamps():
 
 
 def test_time_errors_of_samples_are_learned():
-    """Even stamps, readings of a moving link 0.2 ms off: the time is found to a third, and no jitter where there is none."""
+    """Even stamps, readings 0.2 ms off: the error is found to a third, and no jitter without one."""
     signals, known = signals_of(PLAIN, SEED, False)[0].part(slice(0, 4000)), seen("plain")[1]
     step = registry.get("augmented").step(known, 1e-3)
     off = np.clip(2e-4 * np.random.default_rng(4).standard_normal(len(signals.time)), -5e-4, 5e-4)
@@ -661,7 +662,7 @@ def test_time_errors_of_samples_are_learned():
 
 
 def test_a_stiff_bristle_damping_is_stable():
-    """A bristle of three times the damping that turns round at rest: errors of the state do not grow from sample to sample."""
+    """A bristle of three times the damping that reverses at rest: errors of the state do not grow."""
     midway = Midway.of("plain", s1=0.03).blind()
     x = midway.memory["x"].copy()
     x[AT["wave_rate"]], x[AT["bristle"]] = -1e-3, float(midway.joint.p["Fc"] / midway.joint.p["s0"])
@@ -671,7 +672,7 @@ def test_a_stiff_bristle_damping_is_stable():
 
 
 def test_a_contact_within_the_constants_priors_resets_them():
-    """An external torque that has lasted for two seconds: constants are reset. One that is more than they could be stays."""
+    """An external torque of two seconds resets the constants; one beyond their priors stays."""
     midway = disturbed(Midway.of("plain"), external=0.1)
     c, i = midway.settings, AT["external"]
     c["wait"], c["least"] = 0.2, 1e-3

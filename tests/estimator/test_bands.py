@@ -1,4 +1,4 @@
-"""Bands: their parts, each by an estimator whose response to one error is known."""
+"""Error bands: each part, with an estimator of known response to one error."""
 
 from __future__ import annotations
 
@@ -111,8 +111,7 @@ def test_errors_of_torsion_are_the_larger_balances_and_the_hysteresis(stated, hy
     ("motor_position", "link_position"), ("link_position", "motor_current"), ("link_position",),
 ], ids="+".join)  # fmt: skip
 def test_each_sensor_has_its_own_errors(read):
-    """For any readings: a torque from one angle, of both or of the current has errors of the torsion where there is
-    one, of the current where that is read, and none of what is not there."""
+    """A torque from one angle, from both or from the current has errors of torsion or current, where these are read."""
     s = signals(RAMP).with_columns(motor_torque=np.full(len(TIME), P["Kt_drive"] * 0.5))
     s = Signals(TIME, {name: s[name] for name in read})
     both = {"motor_position", "link_position"} <= set(read)

@@ -95,7 +95,7 @@ def test_reference(reference, calibration, name):
 
 @pytest.mark.parametrize("name", ["no_load", "link_sweep", "external_push"])
 def test_filters_on_the_reference(reference, calibration, name, rng):
-    """Sensors as the test joint's, the current for Tw: every filter below 0.1 N·m rms; who is best where."""
+    """Sensors of the test joint, the current for Tw: every filter below 0.1 N·m rms, and their order."""
     data = reference(name)
     count = len(data["time"])
     motor_step, link_step = 2 * np.pi / 4096, 2 * np.pi / 2**20
@@ -118,7 +118,7 @@ def test_filters_on_the_reference(reference, calibration, name, rng):
 
 
 def test_a_delayed_link_encoder_is_compared_with_past_motor_and_torque(known):
-    """While everything moves evenly: the torque of readings 1.6 samples old is that of readings in time."""
+    """In uniform motion, readings 1.6 samples old give the torque of readings without delay."""
     time = np.arange(300) * 1e-3
     delay = 1.6e-3
     motor, current = 3.0 + 2.0 * time, 4.0 + 3.0 * time
@@ -136,7 +136,7 @@ def test_a_delayed_link_encoder_is_compared_with_past_motor_and_torque(known):
 
 
 def test_a_delayed_link_encoder_uses_the_past_motor_torque(known):
-    """A current that rises by the second turns the wave generator against the rotor: what it did then, not what it does now."""
+    """A rising current winds the wave generator: its past torsion counts, not the present one."""
     time = np.arange(400) * 1e-3
     delay, slope = 2.6e-3, 40.0
     p = known.p
@@ -157,7 +157,7 @@ def test_a_delayed_link_encoder_uses_the_past_motor_torque(known):
 
 
 def test_observers_extrapolate_a_delayed_link_encoder(known):
-    """While it speeds up and winds up: the link's velocity and torque are those of readings in time, not `delay` behind them."""
+    """During acceleration the link's velocity and torque are those of readings without delay."""
     time = np.arange(600) * 1e-3
     delay, speed = 4e-3, 30.0
     joint = known.with_numbers(amplitude=0.0)

@@ -1,4 +1,4 @@
-"""What conditioning makes of a log: stamps, steps and repeats are found at any motion, the passband is as its noise allows."""
+"""Conditioning of a log: stamps, steps and repeats are found for any motion, and the passband follows the noise."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ MOTIONS = ("sine", "trapezoid", "quintic", "chirp", "stroke")
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("rate", [100.0, 1000.0, 5000.0])
 def test_wrong_stamps_are_found_at_any_speed_pattern(rate, motion):
-    """Jitter of 10 and 30 % of the interval, seen by one encoder or both; none where there is none."""
+    """Jitter of 10 and 30 % of the interval, with one encoder or both; none without jitter."""
     seed = int(rate) + MOTIONS.index(motion)
     print("seed", seed)
     rng = np.random.default_rng(seed)

@@ -112,8 +112,7 @@ def test_substeps_resolve_the_fastest_spring(record):
 
 
 def test_both_predictions_agree_before_the_first_link_reading():
-    """Of a link encoder that is 4 ms late nothing is known before but the prior, through the model: whether by a Jacobian, which
-    is there from the first sample on, or by sigma points."""
+    """With a link encoder delay of 4 ms only the prior is known before, propagated by a Jacobian or by sigma points."""
     signals, known = seen("late")
     first = signals.part(slice(0, 12))
     ekf, ukf = (get(name).estimate(first, known) for name in ("dynamics_ekf", "dynamics_ukf"))
@@ -268,7 +267,7 @@ def test_half_of_rarekf_under_pushes():
 
 
 def test_variance_of_the_torque_at_rest_is_at_least_a_count():
-    """The place within the count drifts while the joint rests, and the variance says so: NEES there is about 1 or below."""
+    """The position within the count drifts at rest, and the variance grows: NEES is about 1 or below."""
     changes = ["duration=7", "trajectory=[{time: 0.2, position: 0.8}, {time: 3, position: 1.2}]"]
     scenario, folder = load_scenario("link_sweep", changes)
     nees = []
@@ -285,7 +284,7 @@ def test_variance_of_the_torque_at_rest_is_at_least_a_count():
 @pytest.mark.long
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_half_of_rarekf_everywhere(scenario):
-    """In the mean over starts, paces and pushes: where a count happens to lie at rest changes either by a factor of three."""
+    """In the mean over starts, paces and pushes: the position of a count at rest changes either by a factor of three."""
     seeds = range(1, 7)
     results = [compare(scenario, seed, ("dynamics_ekf",), vary=True) for seed in seeds]
     ratios = [rms["dynamics_ekf"] / rms["RAREKF"] for rms in results]
@@ -307,7 +306,7 @@ def test_friction_error_is_absorbed(scenario):
 
 
 def test_a_delayed_link_encoder_does_not_affect_the_smoother(record):
-    """What is over can be read earlier: the same estimate, but for the last samples, which have not come yet."""
+    """Readings are shifted in time: the same estimate, except for the last samples."""
     signals, _ = sample(record, 9)
     late = signals.with_columns(link_position=np.interp(signals.time - 6e-3, signals.time, signals["link_position"]))
     known = KnownJoint(record, EXACT)

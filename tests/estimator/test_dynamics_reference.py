@@ -1,4 +1,4 @@
-"""The dynamics filters against textbook recursions in NumPy: what they predict, how sure they are, what counts and delays do."""
+"""The dynamics filters against textbook recursions in NumPy: predictions, variances, counts and delays."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def test_variance_of_the_torque_at_one_count_grows_to_the_counts():
 
 @pytest.mark.parametrize("name", ["dynamics_ekf", "dynamics_ukf"])
 def test_a_delayed_link_encoder_makes_a_delayed_filter_that_predicts_to_now(name):
-    """At the instant that the link encoder shows, it is the filter of an encoder that is not late; and now, not far from it."""
+    """At the instant of the link reading it is the filter without delay; now it is close to it."""
     delay, samples = 6e-3, 6
     signals, known = seen("plain")
     signals = signals.part(slice(600, 1400))

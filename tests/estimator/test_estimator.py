@@ -1,4 +1,4 @@
-"""The contract of estimators: every one by its name, in the loop and over signals, with what is known of a joint."""
+"""The interface of estimators: each by its name, in the loop and over signals, with the known joint."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_every_estimator_is_a_frozen_dataclass_with_a_description(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_finite_and_causal(name, known, signals):
-    """What comes later changes nothing, where an estimator says so."""
+    """Later samples change no causal estimate."""
     estimator = registry.get(name)
     whole = estimator.estimate(signals, known)
     assert whole.mean.shape == (2000,) and np.isfinite(whole.mean).all()
@@ -115,7 +115,7 @@ def test_a_torque_sensors_gain_does_not_change_estimates(name, known, signals):
 
 
 def test_what_a_sensor_would_read_holds_its_discrepancy(known, signals):
-    """A spline whose coefficients lie on a line is that line: over the load, and over the link's angle."""
+    """A spline with collinear coefficients is a line, over the load and over the link's angle."""
     torque, angle = np.linspace(-8.0, 8.0, len(signals.time)), signals["link_position"]
     line = np.linspace(-1.0, 1.0, N_COEFFICIENTS)
     for variable, x in (("load", torque), ("link_position", angle)):
@@ -183,7 +183,7 @@ def stepped(step, samples):
 
 
 def test_a_long_recording_is_read_in_blocks_without_a_difference(known, signals, monkeypatch):
-    """Records as of the whole, a command that counts from the next sample on at every seam, and all outputs of the filters."""
+    """Records of the whole, the command at every seam, and all outputs of the filters."""
     whole = as_samples(signals, (), known, True)
     parts = list(sample_blocks(signals, (), known, True, 333))
     assert [p.start for p, _ in parts] == list(range(0, 2000, 333)) and parts[-1][0].stop == 2000
@@ -203,7 +203,7 @@ def test_a_long_recording_is_read_in_blocks_without_a_difference(known, signals,
 
 
 def test_known_joint_says_how_well(known):
-    """Noise of the sensors, tolerance of the friction, what the encoders' zeros leave open: the description's own numbers."""
+    """Noise of the sensors, tolerance of the friction, uncertainty of the encoders' zeros: the description's numbers."""
     assert known.noise == SensorNoise() and known.rated_torque == 16.0
     assert known.friction == pytest.approx(0.15) and known.link_zero == pytest.approx(1e-3)
 
@@ -315,7 +315,7 @@ def _plain(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class Plain(CausalEstimator):
-    """An estimator that somebody wrote in Python: torque of the motor, with its own idea of the gear."""
+    """An estimator of a user in Python: torque of the motor, with its own gear ratio."""
 
     name: str = "plain"
     fails_at: int = -1
@@ -337,7 +337,7 @@ def test_an_estimator_in_python(known, signals):
 
 
 class Telling(Plain):
-    """Says what it last said."""
+    """Reports its last outputs."""
 
     def reason(self, status, out):
         return f"status {status}, after {[round(float(x), 6) for x in out]}"
@@ -346,7 +346,7 @@ class Telling(Plain):
 @pytest.mark.parametrize("fails_at", [0, 1, 9, 10, 11, 57, 1999])
 @pytest.mark.parametrize("stretch", [2, 10, 2000])
 def test_a_divergence_is_reported_alike_online_and_offline(known, signals, fails_at, stretch):
-    """Sample, time and what the estimator said before, wherever the stretches' seams are; at the first sample nothing yet."""
+    """Sample, time and last outputs, for any parts; none at the first sample."""
     estimator = Telling(fails_at=fails_at)
     with pytest.raises(FilterDiverged) as whole:
         estimator.estimate(signals, known)
@@ -390,14 +390,14 @@ def entry(value: str, name: str = "foreign") -> EntryPoint:
 
 @dataclass(frozen=True)
 class Failing(Plain):
-    """Cannot be made without a number that nobody gives."""
+    """Cannot be made without an argument."""
 
     def __init__(self, needed: float):
         raise AssertionError
 
 
 def test_estimators_of_other_packages(monkeypatch, known, signals):
-    """Found by entry points, loaded when asked for; a broken one says in a line what is wrong with it."""
+    """Found by entry points, loaded on request; a broken one gives its fault in a line."""
     points = [
         entry("test_estimator:FOREIGN"),
         entry("test_estimator:Plain", "plain"),
@@ -441,7 +441,7 @@ FOREIGN = Plain("foreign")
 
 
 def test_the_registry_is_cheap():
-    """Names and defaults, without what only some estimators compute with."""
+    """Names and defaults without the imports of single estimators."""
     program = "import flexspline.estimator.registry as r, sys; r.get('EKF'); print(*sorted(m for m in sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
@@ -466,7 +466,7 @@ def test_no_field_is_called_like_the_contract():
 
 
 def test_normalised_innovations_squared(rng):
-    """e² over S, eᵀ S⁻¹ e of two; where nothing is known yet, at the start, there is none. Of angles S is far below one."""
+    """e² over S, eᵀ S⁻¹ e of two; none at the start. S of angles is far below one."""
     time, size = np.arange(5), 1e-6
     A = size * rng.standard_normal((5, 2, 2))
     S, e = A @ A.transpose(0, 2, 1), size * rng.standard_normal((5, 2))

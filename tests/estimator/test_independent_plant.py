@@ -19,7 +19,7 @@ def ratios(seeds, imperfect, duration=None):
 
 
 def test_the_plant_balances():
-    """At rest nothing moves, and the joint torque is what the weight asks for."""
+    """At rest nothing moves, and the joint torque is that of the weight."""
     rng = np.random.default_rng(7)
     drawn = plant.draw_motion(rng, plant.draw_joint(rng, tolerance=0.0, zeroed=True), "sweep", 6.0)
     link, time = drawn.columns["link_position"], drawn.time
@@ -59,6 +59,6 @@ def test_load_of_an_arm_reaches_estimators_with_the_links_balance(arm, name):
 
 @pytest.fixture(scope="module")
 def arm():
-    """The shoulder of two joints that move, 4 s, nobody touching it: signals with what the elbow puts on it, and the run."""
+    """The shoulder of two moving joints, 4 s without contact: signals with the elbow's torque, and the run."""
     run = fs.simulate_arm("two_joints", duration=4)["shoulder"]
     return run.signals.with_columns(arm_torque=run.as_recording().torque_of_arm), run

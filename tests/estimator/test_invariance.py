@@ -1,4 +1,4 @@
-"""What holds of estimates for any recording: units and the clock's zero say nothing, uncertainty is positive."""
+"""Properties of estimates for any recording: units and the clock's zero have no effect, variances are positive."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ finite = st.floats(-1e3, 1e3)
     st.floats(0.0, 10.0),
 )
 def test_variances_of_the_torque_filter_are_positive(rule, y, W, V, P0):
-    """Whatever is measured: P and P_Y are, and the estimate lies between prediction and measurement."""
+    """For any measurement P and P_Y are positive, and the estimate is between prediction and measurement."""
     try:
         found = run(PaperFilter(rule=rule, W=W, V=V, P0=P0), y)
     except FilterDiverged:

@@ -159,7 +159,7 @@ def ratio_over_more(case: Case, push: bool, command: bool) -> float:
 
 
 def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) -> None:
-    """Fail with every estimator whose error grows by more than it may."""
+    """Fail with every estimator whose error grows beyond its limit."""
     wrong = []
     for name in names:
         if push and name in BLIND:
@@ -220,7 +220,7 @@ def test_known_effect_with_the_reading_only(name):
     ("discrepancy_mesh", "current", 1.7), ("link_flexibility", "dynamics_ekf", 1.2),
 ])  # fmt: skip
 def test_unknown_effect(name, estimator, worse):
-    """The same effects, kept from the estimator: that they are ordinary does not make them small."""
+    """The same effects, unknown to the estimator: ordinary effects are not small."""
     (case,) = (case for case in CASES if case.name == name)
     draws = DRAWS[:1]
     informed = errors(registry.get(estimator), case, False, draws)[0]
@@ -231,7 +231,7 @@ def test_unknown_effect(name, estimator, worse):
 
 
 def test_no_exception_is_idle():
-    """Exceptions are of cases and estimators that exist, above the limit, and few."""
+    """Exceptions are of existing cases and estimators, above the limit, and few."""
     names = {case.name for case in CASES}
     assert set(EXCEPTIONS) <= names
     for why, measured in EXCEPTIONS.values():

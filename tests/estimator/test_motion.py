@@ -1,4 +1,4 @@
-"""The smoother: exact on what it should not change, honest about irregular time."""
+"""The smoother: exact where it should not change anything, and correct for irregular time."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_a_recording_may_begin_in_motion(step):
 
 
 def test_rate_and_acceleration_are_derivatives_between_samples_too(rng):
-    """Of any signal, on a grid far finer than its samples: by differences of what is integrated."""
+    """For any signal, on a grid far finer than its samples: by differences of the integrals."""
     time = np.cumsum(rng.uniform(0.01, 0.03, 200))
     s = smooth(time, rng.standard_normal((200, 1)), 1e-4)
     for of, derivative in ((s.value, s.rate), (s.rate, s.acceleration)):

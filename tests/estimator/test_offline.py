@@ -101,7 +101,7 @@ def test_gaps_and_short_segments(sweep, joint):
 
 
 def test_a_drift_counts_from_the_recordings_start(free, joint):
-    """Friction that warms up: after a gap it is as warm as the time that has gone by says."""
+    """Friction of a warming gear: after a gap it depends on the time since the start."""
     effect = Effect(
         name="friction_drift", parameters={"amplitude": Estimate(value=1.0), "time_constant": Estimate(value=8.0)}
     )
@@ -150,7 +150,7 @@ def test_estimates_in_files_are_those_in_memory(free, joint, tmp_path, monkeypat
 
 @pytest.mark.parametrize("missing", ["link_position", "motor_position"])
 def test_one_encoder(missing, free, joint):
-    """What is made of torsion is left out, with the reason; friction, gravity and payload are found as always."""
+    """Estimators from torsion are left out, with the reason; friction, gravity and payload are found as usual."""
     cut = free.without(missing)
     found = estimate_recording(cut, joint)
     assert set(found.torque) == WITH_ONE_ENCODER == set(found.external_torque)
@@ -195,7 +195,7 @@ def test_the_missing_encoder_follows_from_the_torque(missing, sweep, joint):
 
 
 def test_scores_are_of_the_error_and_of_that_in_motion(rng, joint):
-    """Motion: faster than 2.5 Stribeck velocities of the motor; what is no number counts nowhere."""
+    """Motion: faster than 2.5 Stribeck velocities of the motor; NaN does not count."""
     n, vs = 1000, joint.numbers["vs"].value
     time = np.arange(n) * 1e-3
     speed = np.where(time < 0.4, 2.3, 2.7) * vs
@@ -230,7 +230,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def test_a_band_is_two_sided(rng):
-    """95 % of a normal distribution lie in it."""
+    """It contains 95 % of a normal distribution."""
     torque, deviation = rng.standard_normal(7), rng.uniform(0.1, 2.0, 7)
     of = Estimates("any", np.arange(7.0), {"x": torque}, {"x": -torque}, deviation={"x": deviation})
     columns = of.part(slice(2, 6))
@@ -241,8 +241,7 @@ def test_a_band_is_two_sided(rng):
 
 
 def test_bandwidth_of_estimators_from_current_is_limited_by_noise(free, joint):
-    """Their low-pass is no faster than the bandwidth that the readings have; where that is below 15 Hz, three fifths as fast and
-    without lag."""
+    """Their low-pass is at most the readings' bandwidth; below 15 Hz three fifths of it, without lag."""
     known = KnownJoint.of(joint, free.link)
     signals = free.signals.without("joint_torque", "external_torque").part(slice(0, 3000))
     ready = prepare(signals, known)
@@ -274,7 +273,7 @@ def test_missing_channels_are_known_before_estimation(sweep, joint, gone):
 
 
 def test_a_diverging_estimator_is_left_out(free, joint):
-    """At 40 Hz there is no low-pass of 30 Hz; the others go on."""
+    """At 40 Hz there is no low-pass of 30 Hz; the others run."""
     slow = part(free, slice(0, None, 25))
     found = estimate_recording(slow, joint, ["lowpass", "model", "current"])
     assert "cutoff" in found.left_out["lowpass"] and set(found.torque) == {"model", "current"}
@@ -283,7 +282,7 @@ def test_a_diverging_estimator_is_left_out(free, joint):
 
 
 def test_known_effects_of_the_link_encoder(free, joint):
-    """Eccentricity and delay that the description knows change nothing; not known, they cost newton metres."""
+    """Known eccentricity and delay change nothing; unknown, they cost newton metres."""
     late = np.interp(free.time - 6e-3, free.time, free["link_position"])
     wrong = late + 5e-4 * (np.sin(late + 0.4) - np.sin(0.4))
     spoiled = part(free, slice(None), link_position=wrong)
@@ -350,7 +349,7 @@ def test_the_zero_is_the_most_probable_one(rng):
 
 
 def test_a_shaky_start_does_not_set_the_zero(rng):
-    """A tenth of the samples are ten times as far off as their noise says: they count accordingly."""
+    """A tenth of the samples have ten times the stated noise and a smaller weight."""
     n = 500
     compliance, direction = np.full(n, 1e-4), np.where(np.arange(n) // 100 % 2, -1.0, 1.0)
     seen = 2e-4 + 1e-5 * rng.standard_normal(n)

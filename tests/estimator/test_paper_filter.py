@@ -1,4 +1,4 @@
-"""The paper's filters as estimators: what is refused and how, where the defaults come from, what they are elsewhere."""
+"""The paper's filters as estimators: refused settings, source of the defaults, scaling to other joints."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_measurement_variance_refuses(change):
 
 
 def test_scaled_to_a_joint():
-    """The test joint at 1 kHz has the defaults, to the bit; elsewhere they go with sensors, rated torque and interval."""
+    """The test joint at 1 kHz has the defaults, to the bit; others scale with sensors, rated torque and interval."""
     joint = load_joint("test-joint")
     known = KnownJoint.of(joint)
     for filter in (*map(get, ("EKF", "AREKF", "RAREKF", "REKF")), PaperFilter(W=3e-4, V=0.02, gamma=0.3)):

@@ -1,4 +1,4 @@
-"""The payload observers' model: its update is Kalman's, of a current that is written down here once more."""
+"""The payload observers' model: a Kalman update with the current's equation written a second time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def p(known):
 
 
 def torque(x, link, velocity, acceleration, own, p) -> float:
-    """What the joint gives its link: own torque less the payload's, and the bearing's friction."""
+    """The joint torque: own torque less the payload's, and the bearing's friction."""
     alpha, beta, inertia = x[:3]
     return own - (alpha * np.sin(link) + beta * np.cos(link) - inertia * acceleration) + p["bl"] * velocity
 

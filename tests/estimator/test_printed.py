@@ -1,4 +1,4 @@
-"""What the paper prints, run as printed: each test shows what that does."""
+"""The paper's equations as printed: each test shows their effect."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from flexspline.estimator import FilterDiverged, PaperFilter, get
 
 
 def test_printed_alpha_diverges_at_zero_load():
-    """α = kω² is zero at zero load and f_α = P̄_Y/(α·P_Y) infinite: an exception that says so, not NaN."""
+    """α = kω² is zero at zero load and f_α = P̄_Y/(α·P_Y) infinite: an exception with the reason, not NaN."""
     y = np.zeros(100)
     y[40:] = 1e-3
     assert np.isfinite(run(PaperFilter(), y).torque).all()
@@ -31,14 +31,14 @@ def test_printed_alpha_diverges_at_zero_load():
 
 
 def test_printed_alpha_diverges_on_the_no_load_reference(reference, calibration):
-    """The no-load motion starts from rest at zero; as printed the filter does not survive its first torque."""
+    """The no-load motion starts from rest at zero; as printed the filter diverges at its first torque."""
     torque = reference("no_load")["joint_torque"]
     with pytest.raises(FilterDiverged, match="α = kω²"):
         run(PaperFilter(alpha="printed"), torque)
 
 
 def test_printed_alpha_works_backwards(rng):
-    """It loosens the filter where the load is small and equals AREKF where it is large."""
+    """It loosens the filter at small loads and equals AREKF at large ones."""
     quiet = 0.3 + 0.02 * rng.standard_normal(2000)
     loaded = 9.0 + 0.02 * rng.standard_normal(2000)
     printed = PaperFilter(alpha="printed")
@@ -124,7 +124,7 @@ def test_slightly_more_than_the_reported_gamma_is_enough(L, known, signals):
 
 
 def test_overflow_ends_in_the_exception():
-    """Numbers beyond all proportion, in every rule: the exception or finite estimates, never NaN."""
+    """Extreme numbers, in every rule: the exception or finite estimates, never NaN."""
     y = np.array([0.0, 1.0, 1e200, -1e300, 0.0])
     for rule in ("ekf", "robust", "arekf", "rarekf"):
         with pytest.raises(FilterDiverged, match="diverged at step"):

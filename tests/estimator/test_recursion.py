@@ -219,7 +219,7 @@ def test_redundancy_keeps_optimal_mode_under_load(rng):
 
 
 def test_start():
-    """X̂(0) = Y(0), P(0) = P0, nothing has been remembered."""
+    """X̂(0) = Y(0), P(0) = P0, empty memory."""
     settings = PaperFilter(P0=0.5)
     got = run(settings, [3.0, 3.1])
     assert got.torque[0] == 3.0
@@ -235,7 +235,7 @@ def test_start():
     PaperFilter(alpha="inverse"), PaperFilter(rule="robust", L=0.5),
 ], ids=str)  # fmt: skip
 def test_scalar_is_vector(rng, settings):
-    """The compiled filter of one state and the matrices of any number of them are one recursion."""
+    """The compiled filter of one state and the matrices of any dimension are one recursion."""
     y = np.where(np.arange(1500) % 700 > 300, 9.0, 0.2) + 0.07 * rng.standard_normal(1500)
     one = np.eye(1)
     model = FilterModel(one, one, settings.W * one, settings.V * one, settings.P0 * one, settings.L * one)
@@ -259,7 +259,7 @@ def test_scalar_is_vector(rng, settings):
 
 @pytest.mark.parametrize("rule", RULES)
 def test_step_by_address_is_run(rng, rule):
-    """What the closed loop calls is what `run` gives of the compliance model's torque, to the bit."""
+    """The closed loop's step gives `run`'s results of the compliance model's torque, to the bit."""
     joint = KnownJoint.of(load_joint("test-joint"))
     time = np.arange(2000) * 1e-3
     motor = 4.0 * np.sin(2 * time)

@@ -1,4 +1,4 @@
-"""What readings mean: a low-pass that knows its derivatives, and the past of a sample."""
+"""Meaning of readings: a low-pass with derivatives, and the past of a sample."""
 
 from __future__ import annotations
 

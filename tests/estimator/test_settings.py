@@ -90,7 +90,7 @@ def test_of_the_dynamics_filters():
     "name", ["kalman", "h_infinity", "huber", "strong_tracking", "momentum", "momentum_torsion", "payload"]
 )
 def test_of_the_others_power_by_power(name):
-    """Whatever a setting is, it is one power of torque and one of angle, never a sum of different ones."""
+    """A setting is one power of torque and one of angle, never a sum of different ones."""
     estimator = registry.get(name)
 
     def of(joint: KnownJoint) -> dict[str, float]:
@@ -190,7 +190,7 @@ def test_absent_states_are_not_carried():
 
 
 def uniform(width: float) -> float:
-    """Variance of what lies anywhere within a width."""
+    """Variance of a uniform distribution of a width."""
     return width**2 / 12.0
 
 

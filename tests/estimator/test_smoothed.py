@@ -1,4 +1,4 @@
-"""What smooth motion says of torques, against a motion whose currents and torques the joint's equations state backwards."""
+"""Torques from smooth motion, against a motion with currents and torques by the inverse equations."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def known(**effects: float) -> KnownJoint:
 
 
 def moving(joint: KnownJoint) -> tuple[Signals, np.ndarray]:
-    """What the sensors of a joint read on its way, and its joint torque [N·m]."""
+    """Readings of a moving joint's sensors, and its joint torque [N·m]."""
     p = joint.p
     steady = np.array([
         dynamics.steady_motion(*state, 0.0, t, heat, p)
@@ -73,7 +73,7 @@ def test_torque_from_current_from_torsion_and_of_the_link_agree(effects):
 
 
 def test_a_flexible_link_needs_another_torque():
-    """A share on a spring of 14 Hz, far above the motion: the torque of all of it, swinging with the rest."""
+    """A share on a spring of 14 Hz, far above the motion: the torque of the whole inertia."""
     joint = known().with_numbers(flexible_share=0.3, flexible_frequency=14.0, flexible_damping=0.2)
     signals, torque = moving(joint.with_numbers(flexible_share=0.0))
     motion = smoothed.smooth_motion(signals, joint, 40.0)
@@ -84,7 +84,7 @@ def test_a_flexible_link_needs_another_torque():
 
 @pytest.mark.parametrize("delay", [6e-3, 6.4e-3, 0.05])
 def test_a_delayed_encoder_is_shifted_in_time(delay):
-    """What is over can be read earlier; what had not come yet when the recording ended moves as the rotor has since, or stays."""
+    """Readings are shifted in time; the end of the recording follows the rotor, or stays."""
     joint = known().with_numbers(link_delay=delay)
     time = 2.0 + TIME[:1000]
     link, motor = np.sin(3.0 * time), 100.0 * np.cos(2.0 * time)

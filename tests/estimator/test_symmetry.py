@@ -58,7 +58,7 @@ def seen(case: str) -> tuple[Signals, KnownJoint]:
 
 
 def and_beyond(known: KnownJoint) -> KnownJoint:
-    """The joint with what acts beyond its laws."""
+    """The joint with model discrepancies."""
     known, rng = replace(known, record=known.record.copy()), np.random.default_rng(SEED)
     for place, variable, end, size in BEYOND:
         put_discrepancy(known.p, place, variable, -end, end, size * rng.uniform(-1.0, 1.0, 9))

@@ -121,7 +121,7 @@ def test_neutral_tuning_gives_the_kalman_filter(name, neutral, known, signals):
 
 
 def test_h_infinity_is_equation_18(known, signals):
-    """Simon's form and the paper's Eq. (18) are one recursion on the same model, wherever both exist."""
+    """Simon's form and the paper's Eq. (18) are one recursion on the same model, if both exist."""
     estimator = get("h_infinity")
     y, model = linear_model(signals, known, (estimator.acceleration * known.p["T2"]) ** 2)
     gamma = estimator.gamma * np.sqrt(model.V[0, 0])
@@ -253,7 +253,7 @@ def test_momentum_torsion_follows_torsion_at_rest(known):
 
 @pytest.mark.parametrize("name", ["momentum", "momentum_torsion"])
 def test_momentum_takes_friction_off(name, known):
-    """At constant speed N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, and no external torque but what gravity is short of."""
+    """At constant speed N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, and no external torque beyond the gravity error."""
     joint = known.with_numbers(amplitude=0.0)
     q, time = joint.p, np.arange(3000) * 1e-3
     for w in (20.0, -20.0):
@@ -270,7 +270,7 @@ def test_momentum_takes_friction_off(name, known):
 
 
 def test_momentum_observers_velocity_has_the_stated_cutoff(known):
-    """A rotor that sets off at once: 1 − exp(−2π f t), f the cutoff."""
+    """A step of the rotor's velocity: 1 − exp(−2π f t), f the cutoff."""
     time, w, cutoff = np.arange(1, 400) * 1e-3, 30.0, 8.0
     motor = w * (time - time[0])
     columns = replace(get("momentum"), cutoff=cutoff).estimate(of(time, motor, motor / 100, 0 * time), known).columns
@@ -296,7 +296,7 @@ def test_momentum_torsion_goes_over_to_the_observer(speed, known):
 
 
 def test_momentum_torsions_offset_follows_while_it_turns(known):
-    """Turning, the torsion's offset goes to what the observer says, slower where that counts for less; at rest it holds."""
+    """In motion, the torsion's offset follows the observer, more slowly at a smaller weight; at rest it is constant."""
     joint = known.with_numbers(amplitude=0.0)
     time, w, follow = np.arange(4000) * 1e-3, joint.p["vs"], 0.4
     turning = np.minimum(time, 2.5)

@@ -1,4 +1,5 @@
-"""The load of an arm on one of its joints: against MuJoCo's whole inverse dynamics, and a double pendulum on paper."""
+"""The load of an arm on one of its joints: against MuJoCo's whole inverse dynamics, and a double pendulum in closed
+form."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ def folder(tmp_path):
 
 
 def torque_of(path, q, v, a, joint):
-    """Torque of a joint by `mj_inverse` with everything off that is no mass and no gravity."""
+    """Torque of a joint by `mj_inverse` with masses and gravity only."""
     model = mujoco.MjModel.from_xml_path(str(path))
     model.dof_armature[:] = model.dof_damping[:] = model.jnt_stiffness[:] = model.dof_frictionloss[:] = 0.0
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -206,7 +207,7 @@ def test_an_arm_survives_a_round_trip(folder, tmp_path):
 
 
 def test_a_gap_is_not_a_jump_of_the_arm(folder):
-    """Positions on either side of a gap say nothing of the velocity across it."""
+    """Positions on both sides of a gap do not give a velocity."""
     t = np.concatenate([np.arange(200) * 5e-3, 10 + np.arange(200) * 5e-3])
     elbow = np.concatenate([np.full(200, 0.2) + 0.01 * t[:200], np.full(200, 1.4)])
     r = read_recording(write(folder, columns(time=t, arm_elbow_position=elbow)))
@@ -215,7 +216,7 @@ def test_a_gap_is_not_a_jump_of_the_arm(folder):
 
 
 def test_a_sample_between_gaps_has_no_velocity(folder):
-    """`round` of no number, in every command."""
+    """A single sample once made every command fail with NaN."""
     t = np.concatenate([np.arange(200) * 5e-3, [5.0], 10 + np.arange(199) * 5e-3])
     r = read_recording(write(folder, columns(time=t, arm_elbow_position=0.5 * np.sin(t))))
     assert len(r.segments) == 3 and np.isfinite(r.load.torque).all()
@@ -269,7 +270,7 @@ def test_an_mjcf_without_an_arm_is_one_line(tmp_path, old, new, words):
 
 
 def test_gravity_may_point_anywhere(tmp_path):
-    """An arm under the ceiling: its weight is turned round."""
+    """An arm under the ceiling: its weight is reversed."""
     (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
     (tmp_path / "ceiling.xml").write_text(ARM.replace("0 0 -9.80665", "0 0 9.80665"), encoding="utf-8")
     up, down = (Arm(ArmSpec(model=name, joint="lift"), tmp_path).mounting() for name in ("arm.xml", "ceiling.xml"))
@@ -307,7 +308,7 @@ def test_ur3e_shoulder_has_the_public_numbers():
 
 
 def test_ur3e_weight_is_that_of_the_measured_current(shared):
-    """The measured shoulder's current, regressed on the weight of the MJCF: it falls where the data say that it falls."""
+    """The measured shoulder current, regressed on the weight of the MJCF: same sign and direction."""
     path = shared / "data" / "ur3e" / "shoulder_first_half.csv"
     data = np.genfromtxt(path, delimiter=",", names=True)
     q, v, a, i = (data[name] for name in ("q_rad", "qd_rad_s", "qdd_target_rad_s2", "i_motor_A"))

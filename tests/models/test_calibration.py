@@ -108,7 +108,7 @@ def test_wide_tolerance_is_a_factor():
 
 
 def test_no_number_becomes_negative_however_wide_its_deviation():
-    """What a diagnosis writes must be a joint: a share of friction of 0.5 ± 0.7 is never below nothing."""
+    """A diagnosis must write a valid joint: a share of friction of 0.5 ± 0.7 is never negative."""
     joint = load_joint("ur3e-shoulder")
     assert joint.numbers["back_driven_friction"].deviation > 0.5 * joint.numbers["back_driven_friction"].value
     calibration = Calibration(joint)

@@ -1,4 +1,4 @@
-"""The gear catalogue: numbers that makers state, trends between and beyond them, joints that all of it makes."""
+"""The gear catalogue: makers' numbers, trends between and outside them, and the joints of all gears."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_impossible_gears_are_refused(asked, expected):
 
 @pytest.mark.parametrize("size", SIZES)
 def test_every_gear_makes_a_joint_that_is_plausible(tmp_path, size):
-    """With a motor that is as strong as the gear: nothing that the rules fill is odd."""
+    """With a motor as strong as the gear: no filled number is unusual."""
     from flexspline.models.datasheet import write_joint
 
     for series in ("CSF", "CSG", "CSD"):

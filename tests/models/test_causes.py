@@ -1,4 +1,4 @@
-"""The library of causes: what the specification fixes, and that each does what it says to the record."""
+"""The library of causes: the specification's requirements, and each cause's effect on the record."""
 
 from __future__ import annotations
 
@@ -300,7 +300,7 @@ def test_temperature_and_flexibility_reach_their_laws():
 
 
 def test_a_cause_is_one_file(tmp_path, monkeypatch):
-    """A new file in the folder is a new cause: known by name, drawn, applied; nothing else is touched."""
+    """A new file in the folder is a new cause: known by name, drawn, applied, without other changes."""
     (tmp_path / "loose_bolt.py").write_text(
         "from flexspline.models.causes.base import Cause, CauseParameter, Requirements\n"
         "class LooseBolt(Cause):\n"
@@ -363,7 +363,7 @@ MINE = {
     ],
 )  # fmt: skip
 def test_a_plugins_cause_is_checked(tmp_path, changes, plugin, message):
-    """What it does not keep is one line with its name and its file."""
+    """A fault is one line with its name and its file."""
     path = tmp_path / "mine.py"
     path.write_text(field(MINE | changes, plugin), encoding="utf-8")
     with pytest.raises(fs.InputError, match=message) as caught:

@@ -1,4 +1,4 @@
-"""What a description comes to, against the specification, textbook formulas and the test joint's reference."""
+"""Characteristics of a description, against the specification, textbook formulas and the test joint's reference."""
 
 from __future__ import annotations
 

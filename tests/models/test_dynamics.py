@@ -1,4 +1,4 @@
-"""The equations of motion against the same written down a second time (tests/sim/independent.py), and their inverses."""
+"""The equations of motion against a second implementation (tests/sim/independent.py), and their inverses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ JOINT = load_joint("test-joint")
 
 
 def with_everything(rng) -> np.ndarray:
-    """A record, shape (1,), of a joint near the test joint's that has every effect at once, drawn at random."""
+    """A record, shape (1,), of a joint near the test joint with all effects, drawn at random."""
     record = JOINT.record()
     p = record[0]
     for name in ("Jm", "Jw", "Kt", "bm", "Kw0", "dw", "Fc", "vs", "s0", "s1", "bw", "df", "bl", "Jl", "Mg"):

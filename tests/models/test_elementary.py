@@ -1,4 +1,4 @@
-"""Sines and exponentials of our own against the C library's, and their derivatives by dual numbers."""
+"""Own sines and exponentials against the C library's, and their derivatives by dual numbers."""
 
 from __future__ import annotations
 

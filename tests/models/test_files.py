@@ -1,4 +1,4 @@
-"""Files are moved into place when they are complete; what cannot be written is one line."""
+"""Files appear complete; a file that cannot be written is one line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def whole_folder(path):
 
 @contextmanager
 def without_rights(folder):
-    """Nobody may enter the folder: neither its owner nor, where the tests run as root, root."""
+    """Deny access to the folder, also to root."""
     root = os.geteuid() == 0
     folder.chmod(0)
     try:
@@ -159,7 +159,7 @@ class _Outer(Strict):
     ],
 )
 def test_the_first_error_is_one_line(data, said):
-    """All that is missing, and what a key could have been."""
+    """All missing keys, and suggestions for a misspelt one."""
     with pytest.raises(InputError) as caught:
         parse(data, _Outer, "it")
     assert str(caught.value) == said
@@ -195,7 +195,7 @@ class _Listed(Strict):
     ],
 )
 def test_errors_name_the_line(tmp_path, text, line, said):
-    """Wherever it is: comments and empty lines above do not move it."""
+    """Comments and empty lines above count."""
     above = int(np.random.default_rng(len(text)).integers(0, 5))
     path = tmp_path / "a.yaml"
     path.write_text("# a comment\n" * above + text, encoding="utf-8")
@@ -221,7 +221,7 @@ class _Numbers(Strict):
     "place", ["number: {}", "count: {}", "several: [1, {}]", "by_name: {{a: {}}}", "perhaps: {}", "either: {}"]
 )
 def test_only_numbers_are_numbers(tmp_path, text, place):
-    """YAML takes 1:30 for 90 and 010 for 8, and what reads it takes true for 1 and '9' for 9: nobody means that."""
+    """YAML reads 1:30 as 90 and 010 as 8, and pydantic reads true as 1 and '9' as 9: these are refused."""
     path = tmp_path / "a.yaml"
     path.write_text(place.format(text))
     with pytest.raises(InputError) as caught:

@@ -1,4 +1,4 @@
-"""The joint description: what is wrong in it is said in one line; what is right survives a round trip."""
+"""The joint description: errors in one line, and round trips of valid ones."""
 
 from __future__ import annotations
 
@@ -478,7 +478,7 @@ def test_numbers_are_those_of_the_specification(shared):
 
 @pytest.mark.parametrize("name", sorted(known_joints()))
 def test_mjcf_opens_in_plain_mujoco_and_agrees_with_the_yaml(name):
-    """A MuJoCo user who opens the XML sees the joint of the YAML, up to what MJCF cannot say."""
+    """A MuJoCo user who opens the XML sees the joint of the YAML, except for laws that MJCF does not have."""
     joint = load_joint(name)
     p = joint.bare_record()[0]
     model = mujoco.MjModel.from_xml_path(str(joint.mjcf))
@@ -544,7 +544,7 @@ def test_mjcf_opens_in_plain_mujoco_and_agrees_with_the_yaml(name):
     ],
 )
 def test_a_file_that_is_no_description_is_not_quoted(tmp_path, text):
-    """A recording may name /etc/passwd as its joint: the message does not show what is in it."""
+    """A recording may name /etc/passwd as its joint: the message does not show its content."""
     path = tmp_path / "passwd"
     path.write_text(text)
     with pytest.raises(InputError, match=r"passwd: ") as caught:

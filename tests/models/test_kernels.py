@@ -1,4 +1,4 @@
-"""The cache of compiled code: out of date when a source that it came from is, and never otherwise."""
+"""The cache of compiled code: outdated by a change of any of its sources, and only then."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ print(user.plus_one(3.0))
 
 
 def test_a_law_edited_during_a_process_is_compiled_for_that_process_only(house):
-    """What it holds in memory is not what its file says, and must not be kept under the file's name."""
+    """The code in memory is not that of the file, and must not be cached under its name."""
     done = subprocess.run(
         [sys.executable, "-c", EDITED], cwd=house.package.parent, capture_output=True, text=True, check=True
     )
@@ -116,7 +116,7 @@ def test_a_law_edited_during_a_process_is_compiled_for_that_process_only(house):
 
 
 def test_old_caches_are_forgotten(tmp_path):
-    """The latest four of a module's earlier states stay, and what is another module's."""
+    """The latest four of a module's earlier states stay, and those of other modules."""
     for i in range(9):
         (tmp_path / f"user-{i:016x}").mkdir()
         os.utime(tmp_path / f"user-{i:016x}", (1e9 + i, 1e9 + i))
@@ -137,7 +137,7 @@ def test_a_read_only_package_keeps_its_cache_with_the_user(house, tmp_path):
 
 
 def test_the_digest_knows_every_import_of_this_package():
-    """Directly or not: the loop's compiled code came from the laws, the drive from nothing of the sort."""
+    """Directly or not: the loop imports the laws, the drive does not."""
     imported = kernels._imported("flexspline.sim.loop")
     assert {"flexspline.models.laws", "flexspline.models.dynamics", "flexspline.sim.sensors"} <= imported
     assert "flexspline.models.laws" not in kernels._imported("flexspline.models.kernels")

@@ -157,7 +157,7 @@ STEPS = ("rename", "replace", "unlink", "rmdir", "rmtree", "mkdir")
 
 
 def killed_at(step, out):
-    """Rewrite a folder and die just before the step-th change of the file system; whether it came so far."""
+    """Rewrite a folder and die just before the step-th change of the file system; return whether it died."""
     program = f"""
 import os, shutil, sys
 from pathlib import Path
@@ -185,7 +185,7 @@ with output_folder(Path(sys.argv[1]), "run", whole=True) as folder:
 
 
 def test_killed_at_every_step_of_the_exchange(tmp_path):
-    """All that was there, or all that is new; the next start completes it and writes again."""
+    """All old or all new files; the next start completes the output and writes again."""
     old = {"one": "old", "sub/two": "old", "sub/gone": "old", "sub/mine": "mine"}
     new = {"one": "new", "sub/two": "new", "new/three": "new", "sub/mine": "mine"}
     seen = set()

@@ -35,7 +35,7 @@ words = st.sampled_from(["a", "test-joint", "link", "no_load", "EKF", "rad", "NÂ
 
 
 def of(schema: dict[str, Any], whole: dict[str, Any], depth: int = 0) -> st.SearchStrategy[Any]:
-    """Data as a JSON schema wants it, at its bounds and between, and something odd in places."""
+    """Data of a JSON schema, at its bounds and between, with invalid values in places."""
     return st.integers(0, 40).flatmap(lambda n: odd if n == 0 else _right(schema, whole, depth))
 
 

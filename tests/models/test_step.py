@@ -1,4 +1,4 @@
-"""A step by its address: compiled or in Python, what it reads, remembers and says is the same."""
+"""A step by its address, compiled or in Python: the same inputs, memory and outputs."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ import pytest
 from flexspline.diagnosis.answer import Finding, ParameterEstimate
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.views.advice import UNDETERMINED, advice, parameter_text
 
 
@@ -46,3 +47,14 @@ def test_a_parameter_without_information_is_not_a_number():
     assert [parameter_text(name, loose, joint) for name in ("amplitude", "phase")] == [UNDETERMINED] * 2
     assert "these data do not determine" in advice(loose, joint).sentence
     assert parameter_text("phase", finding("cogging", std=0.1, phase=1.0), joint) == "1.00 ± 0.10 rad"
+
+
+def test_a_number_is_compared_with_the_joint_without_the_finding():
+    """The extended joint has the effect in it: an effect of its own size away from that is none."""
+    joint = load_joint("test-joint")
+    bw = joint.numbers["bw"].value
+    found = finding("viscous_friction", std=0.1 * bw, coefficient=5 * bw)
+    value = {"coefficient": Estimate(value=5 * bw, unit="N·m·s/rad")}
+    extended = joint.model_copy(update={"effects": [Effect(name="viscous_friction", parameters=value)]})
+    assert advice(found, extended) == advice(found, joint)
+    assert parameter_text("coefficient", found, extended) != UNDETERMINED
