@@ -412,8 +412,15 @@ def _power_cycles(time: np.ndarray, columns: Mapping[str, np.ndarray], N: float)
 
 def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return first samples and lengths of runs of equal values."""
-    edges = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0, [True]]))
+    edges = _edges(x)
     return edges[:-1], np.diff(edges)
+
+
+def _edges(x: np.ndarray) -> np.ndarray:
+    """Return the first samples of runs of equal values, and the number of samples."""
+    begins = np.ones(len(x) + 1, bool)
+    begins[1:-1] = x[1:] != x[:-1]
+    return np.flatnonzero(begins)
 
 
 def _still(
@@ -484,17 +491,18 @@ def _clipped(
 ) -> np.ndarray:
     """Find samples at the largest or smallest value, if it is far more frequent than values near it and the joint moves."""
     x = columns[name]
-    values, counts = np.unique(x, return_counts=True)
+    edges = _edges(np.sort(x))  # of equal values
     found = [np.empty(0, int)]
-    if len(values) < 50:
+    if len(edges) <= 50:
         return found[0]
-    for end, near in ((-1, slice(-9, -1)), (0, slice(1, 9))):
-        mine = x[begins] == values[end]
+    # Counts of the extreme value, and of the eight values next to it.
+    for value, counts in ((x.max(), np.diff(edges[-10:])[::-1]), (x.min(), np.diff(edges[:10]))):
+        mine = x[begins] == value
         longest = int(lengths[mine].max())
-        if (mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]) + longest)) or _at(values[end], limit):
+        if (mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]) + longest)) or _at(value, limit):
             continue
-        if counts[end] >= SETTINGS.flat and longest >= 3 and counts[end] > SETTINGS.peaked * counts[near].max():
-            rows = np.flatnonzero(x == values[end])
+        if counts[0] >= SETTINGS.flat and longest >= 3 and counts[0] > SETTINGS.peaked * counts[1:].max():
+            rows = np.flatnonzero(x == value)
             # A held pose has a constant torque.
             moved = [
                 _moved_within(columns[n], rows) > SETTINGS.driven * np.ptp(columns[n])

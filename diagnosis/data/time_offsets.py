@@ -62,7 +62,7 @@ class TimeOffsetSettings:
     between: float = 2.0
     travel: float = 0.05  # of the link, below which motion says nothing [rad]
     moving: float = 0.02  # speed over the largest from which on the link goes somewhere
-    alone: float = 3.0  # times as much of it, where one encoder alone says so
+    alone: float = 3.0  # times `sure`: threshold of a single relation
     fits: float = 0.08  # residual over spread of a drive's torque that fits; twice as much for other relations
     alike: float = 0.2  # gain of either encoder's relation over the mean, where a torque is late
     # least share of time in motion to compare a drive's torque with the motion
@@ -132,8 +132,7 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
         return None
     name = best[0]
     mine = [r for r in relations if name in (r.first, r.second)]
-    one_encoder = name in DRIVING and len({r.first for r in mine}) == 1
-    if best[2] < SETTINGS.sure * (SETTINGS.alone if one_encoder else 1.0):
+    if best[2] < SETTINGS.sure * (SETTINGS.alone if len(mine) == 1 else 1.0):
         return None
     left = np.sum([r.left if r.second == name else r.left[::-1] for r in mine], axis=0)
     near = np.where(np.abs(shifts - best[1]) < 0.02, left, np.inf)
