@@ -51,7 +51,7 @@ def draw(
     folder: Path | None,
     seed: int,
     tolerance: float = 1.0,
-    tared: bool = True,
+    zero_known: bool = True,
     vary: bool = True,
     load: float | None = None,
 ) -> DrawnExperiment:
@@ -61,7 +61,7 @@ def draw(
       scenario: without torque feedback. folder: of its file.
       seed: of all random numbers; draws with different tolerances and the same seed are paired.
       tolerance: share of the joint's tolerances for the draw.
-      tared: whether the link encoder's zero is known.
+      zero_known: whether the link encoder's zero is known.
       vary: whether motion and pushes are drawn, too.
       load: known gravity moment of the payload at horizontal [N·m]; by default the mounting's.
 
@@ -70,9 +70,9 @@ def draw(
     """
     chosen = of_seed(scenario, seed, vary)
     experiment = Experiment.of(chosen, folder, load)
-    record = drawn_record(experiment, seed, tolerance, tared)
+    record = drawn_record(experiment, seed, tolerance, zero_known)
     simulation = experiment.simulate(seed, record, experiment.build(record))
-    return draw_of(experiment, simulation, record, known_within(experiment.known, tolerance, tared), seed)
+    return draw_of(experiment, simulation, record, known_within(experiment.known, tolerance, zero_known), seed)
 
 
 def draw_of(

@@ -85,23 +85,23 @@ def drawn(
     folder: Path | None,
     changes: Sequence[str] = (),
     load: float | None = None,
-    tared: bool = True,
+    zero_known: bool = True,
 ) -> DrawnExperiment:
     """Return a draw, from `folder` if it is kept there.
 
     Args:
       changes: of the scenario, `key=value`.
       load: gravity moment at horizontal of the payload [N·m]; the scenario's by default.
-      tared: whether the encoder offset is known.
+      zero_known: whether the encoder offset is known.
     """
     of = "".join(f"_{change}" for change in changes) + ("" if load is None else f"_load={load:g}")
-    of += "" if tared else "_offset"
+    of += "" if zero_known else "_offset"
     kept = None if folder is None else folder / f"{scenario}_{tolerance:g}_{seed}{of}.pkl"
     if kept is not None and kept.is_file():
         with kept.open("rb") as file:
             return pickle.load(file)
     described, home = load_scenario(scenario, list(changes))
-    found = draw(described, home, seed, tolerance, tared, load=load)
+    found = draw(described, home, seed, tolerance, zero_known, load=load)
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         with write_into_place(kept) as temporary:
@@ -309,10 +309,12 @@ def _rows(
     kept: Path | None,
     threads: int,
     changes: Sequence[str] = (),
-    tared: bool = True,
+    zero_known: bool = True,
 ) -> list[Row]:
     def one(seed: int) -> list[Row]:
-        return assess(drawn(scenario, tolerance, seed, kept, changes, tared=tared), scenario, tolerance, estimators)
+        return assess(
+            drawn(scenario, tolerance, seed, kept, changes, zero_known=zero_known), scenario, tolerance, estimators
+        )
 
     with ThreadPoolExecutor(threads) as pool:
         return [row for several in pool.map(one, seeds) for row in several]

@@ -135,8 +135,8 @@ def assess(
         )
     chosen = varied(scenario, seed)
     free = Experiment.of(chosen.model_copy(update={"feedback": "none"}), folder)
-    record = drawn_record(free, seed, tolerance, tared=True)
-    known = known_within(free.known, tolerance, tared=True)
+    record = drawn_record(free, seed, tolerance, zero_known=True)
+    known = known_within(free.known, tolerance, zero_known=True)
     free = replace(free, known=known, fed_back=estimator)
     bench, fixed = bolted(free, record, known)
 

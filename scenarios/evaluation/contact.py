@@ -372,9 +372,9 @@ def _simulated(
 ) -> Ran:
     chosen = varied(scenario, seed).model_copy(update={"disturbances": list(pushed)})
     experiment = Experiment.of(chosen, folder)
-    record = drawn_record(experiment, seed, tolerance, tared=True)
+    record = drawn_record(experiment, seed, tolerance, zero_known=True)
     simulation = experiment.simulate(seed, record, experiment.build(record))
-    return simulation, known_within(experiment.known, tolerance, tared=True)
+    return simulation, known_within(experiment.known, tolerance, zero_known=True)
 
 
 def _heard(

@@ -8,7 +8,7 @@ angles, and the errors of two seeds correlate by more than 0.9. A draw changes e
 * pushes: onset, duration, size and sign;
 * the sensors' noise; with `sensors: realistic` also the drive's lag, unless a controller is stated.
 
-The estimators know the nominal numbers and their tolerances. A *tared* joint has a known link encoder zero.
+The estimators know the nominal numbers and their tolerances. With `zero_known` they also know the link encoder's zero.
 """
 
 from __future__ import annotations
@@ -74,17 +74,19 @@ def _varied_push(push: Disturbance, rng: np.random.Generator, end: float) -> Dis
     return push.model_copy(update={"start": start, "duration": duration, "torque": torque})
 
 
-def drawn_record(experiment: Experiment, seed: int, tolerance: float, tared: bool) -> np.ndarray:
-    """Return the plant's record of a draw, shape (1,), within `tolerance` times the tolerances; `tared`: with the nominal zero of
-    the link encoder."""
+def drawn_record(experiment: Experiment, seed: int, tolerance: float, zero_known: bool) -> np.ndarray:
+    """Return the plant's record of a draw, shape (1,), within `tolerance` times the tolerances.
+
+    With `zero_known` the link encoder keeps its nominal zero.
+    """
     calibration = Calibration(experiment.joint)
     x = tolerance * calibration.draw(stream(seed, "tolerance"))
-    if tared and "link_encoder_zero" in calibration.names:
+    if zero_known and "link_encoder_zero" in calibration.names:
         x[calibration.names.index("link_encoder_zero")] = 0.0
     return calibration.record(x, experiment.mounting)
 
 
-def known_within(known: KnownJoint, tolerance: float, tared: bool) -> KnownJoint:
+def known_within(known: KnownJoint, tolerance: float, zero_known: bool) -> KnownJoint:
     """Return the knowledge of estimators of a joint within `tolerance` times its tolerances."""
     found = known.within(tolerance)
-    return replace(found, link_zero=0.0) if tared else found
+    return replace(found, link_zero=0.0) if zero_known else found

@@ -201,8 +201,8 @@ class Design:
         for axis in self.study.axes:
             if isinstance(axis, ToleranceAxis):
                 tolerance = float(cell.columns[axis.name])
-                record = draws.drawn_record(experiment, _mixed(self.study.seed, seed), tolerance, axis.tared)
-                experiment = replace(experiment, known=draws.known_within(experiment.known, tolerance, axis.tared))
+                record = draws.drawn_record(experiment, _mixed(self.study.seed, seed), tolerance, axis.zero_known)
+                experiment = replace(experiment, known=draws.known_within(experiment.known, tolerance, axis.zero_known))
         hidden = self.hidden(cell, seed, experiment.record if record is None else record)
         return experiment, record if hidden is None else hidden
 

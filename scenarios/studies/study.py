@@ -122,7 +122,7 @@ class ToleranceAxis(Axis):
     name: Annotated[str, Field(pattern=_NAME)] = "tolerance"
     values: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)]
     """In the joint's tolerances."""
-    tared: bool = True
+    zero_known: bool = True
     """Whether the link encoder's zero is known; otherwise it is drawn, too."""
 
 

@@ -141,7 +141,7 @@ def test_an_unknown_zero_is_found_with_a_consistent_variance(name, seed):
     """Zeros with an error above the torsion between two breakpoints: the error was 1 to 6 N·m with a deviation of
     0.15 N·m."""
     scenario, folder = load_scenario(name)
-    one = draw(scenario.model_copy(update={"duration": 14.0}), folder, seed, tared=False)
+    one = draw(scenario.model_copy(update={"duration": 14.0}), folder, seed, zero_known=False)
     off, torsion = one.record["link_zero"][0], one.known.p["T2"] / one.known.p["K2"]
     print(f"seed {seed}: zero off by {1e3 * off:.2f} mrad, {abs(off) / torsion:.1f} times the torsion at T2")
     found = registry.get("augmented").estimate(one.signals, one.known)
