@@ -233,7 +233,7 @@ class Plan:
         ]  # fmt: skip
 
 
-def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS) -> Plan:
+def plan(measurement: Measurement, diagnosis: Diagnosis) -> Plan:
     """Plan experiments for the open questions of a diagnosis.
 
     Args:
@@ -247,8 +247,8 @@ def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings 
         return Plan()
     problem, at = diagnosis.problem, _without_splines(diagnosis.problem, diagnosis.final)
     joint = problem.joint  # with sensors as coarse and as slow as they were logged
-    asked = [*_asked(measurement, diagnosis, joint, settings), *_numbers(problem, at, settings)]
-    tried = _representatives(joint, at, problem, asked, settings)
+    asked = [*_asked(measurement, diagnosis, joint), *_numbers(problem, at)]
+    tried = _representatives(joint, at, problem, asked)
     thin = tuple(_thin(r) for r in measurement.recordings)
     missing = coverage.undetermined(replace(measurement, recordings=thin), joint)
     state = _State(problem, at, tried)
@@ -274,17 +274,17 @@ def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings 
             for q in questions
         )
         progress = [_progress(q, z) for q, z in zip(questions, expected, strict=True)]
-        if max(progress) < settings.least:
+        if max(progress) < SETTINGS.least:
             return None
         weighted = sum(
-            settings.weight(q) * 0.5 * (part + (z >= q.needed))
+            SETTINGS.weight(q) * 0.5 * (part + (z >= q.needed))
             for q, z, part in zip(questions, expected, progress, strict=True)
         )
-        score = weighted - settings.effort[0] * e.duration / 30.0 - e.effort
+        score = weighted - SETTINGS.effort[0] * e.duration / 30.0 - e.effort
         return Proposal(e.name, e.description, e.duration, expected, round(score, 3)) if score > 0 else None
 
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
-        proposals = [p for p in pool.map(judged, experiments(measurement, joint, diagnosis, settings)) if p is not None]
+        proposals = [p for p in pool.map(judged, experiments(measurement, joint, diagnosis)) if p is not None]
     return Plan(questions, tuple(sorted(proposals, key=lambda p: -p.score)))
 
 
@@ -302,26 +302,26 @@ def _progress(q: Question, expected: float) -> float:
 # --- the questions ---------------------------------------------------------------------------------------------------
 
 
-def _asked(measurement: Measurement, diagnosis: Diagnosis, joint: Joint, settings: PlanSettings) -> Iterator[Question]:
+def _asked(measurement: Measurement, diagnosis: Diagnosis, joint: Joint) -> Iterator[Question]:
     """Yield open questions; those without a parameter get their strength later."""
     known = set(causes.of(joint))
     # Errors of missing sensors are not in question.
     read = {column for r in measurement.recordings for column in r.columns}
     absent = {n for n in known if (sensor := causes.get(n).sensor) and sensor not in read}
     open_ = [n for n in diagnosis.undetermined if n in known - absent]
-    yield from (Question((n,), 0.0, settings.shows) for n in open_)
-    yield from (Question(pair, 0.0, settings.apart) for pair in diagnosis.confusable if set(pair) <= known)
+    yield from (Question((n,), 0.0, SETTINGS.shows) for n in open_)
+    yield from (Question(pair, 0.0, SETTINGS.apart) for pair in diagnosis.confusable if set(pair) <= known)
     for finding in diagnosis.causes:
         if finding.name not in known:
             continue
         neutral = causes.get(finding.name).present(joint.record()[0])
         for q in causes.get(finding.name).parameters:
             p = finding.parameters[q.name]
-            if q.magnitude and p.std > 0 and abs(p.value - neutral[q.name]) < settings.known * p.std:
-                yield Question((finding.name,), abs(p.value - neutral[q.name]) / p.std, settings.known, q.name)
+            if q.magnitude and p.std > 0 and abs(p.value - neutral[q.name]) < SETTINGS.known * p.std:
+                yield Question((finding.name,), abs(p.value - neutral[q.name]) / p.std, SETTINGS.known, q.name)
 
 
-def _numbers(problem: Problem, at: Fit, settings: PlanSettings) -> list[Question]:
+def _numbers(problem: Problem, at: Fit) -> list[Question]:
     """Return questions on the numbers that the measurement hardly improved, the least known first."""
     c = problem.calibration
     found = []
@@ -332,9 +332,9 @@ def _numbers(problem: Problem, at: Fit, settings: PlanSettings) -> list[Question
         stated = float(np.linalg.norm(slope))
         std = float(np.sqrt(max(slope @ at.covariance[: c.size, : c.size] @ slope, 0.0)))
         z = abs(c.value(slot, at.theta[: c.size])) / max(std, 1e-300)
-        if std > settings.wide * stated and z < settings.sharp:
-            found.append(Question((slot.name,), z, settings.sharper * z, "value"))
-    return sorted(found, key=lambda q: q.now)[: settings.widest]
+        if std > SETTINGS.wide * stated and z < SETTINGS.sharp:
+            found.append(Question((slot.name,), z, SETTINGS.sharper * z, "value"))
+    return sorted(found, key=lambda q: q.now)[: SETTINGS.widest]
 
 
 def _slope(problem: Problem, at: Fit, name: str) -> np.ndarray:
@@ -365,9 +365,7 @@ def _without_splines(problem: Problem, f: Fit) -> Fit:
     )
 
 
-def _representatives(
-    joint: Joint, at: Fit, problem: Problem, asked: Sequence[Question], settings: PlanSettings
-) -> list[Hypothesis]:
+def _representatives(joint: Joint, at: Fit, problem: Problem, asked: Sequence[Question]) -> list[Hypothesis]:
     """Return hypotheses of the causes in question that are not in the model."""
     there = {h.cause.name for h in at.model}
     present = {effect.name: effect.values for effect in joint.effects}
@@ -375,7 +373,7 @@ def _representatives(
     found: list[Hypothesis] = []
     for name in dict.fromkeys(n for q in asked for n in q.names if n not in there and not q.of_number):
         every = hypotheses(causes.get(name), record, present.get(name))
-        chosen = np.unique(np.linspace(0, len(every) - 1, min(settings.variants, len(every))).astype(int))
+        chosen = np.unique(np.linspace(0, len(every) - 1, min(SETTINGS.variants, len(every))).astype(int))
         found += [every[i] for i in chosen]
     return found
 
@@ -569,9 +567,7 @@ def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1)
     return whole.at(slice(None, None, every)) if every > 1 else whole
 
 
-def experiments(
-    measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS
-) -> list[PlannedExperiment]:
+def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> list[PlannedExperiment]:
     """Return possible experiments: motions, loads, a locked output, one more sensor."""
     p = diagnosis.extended.record()[0]
     recordings = measurement.recordings
@@ -586,9 +582,9 @@ def experiments(
     low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
     half = 0.5 * (high - low)
     centre = 0.0 if abs(low + half) < _ABOUT * half else low + half
-    reach = float(np.clip(half, 0.4, settings.range))
+    reach = float(np.clip(half, 0.4, SETTINGS.range))
     steepest = float(np.max(np.abs(np.sin(np.linspace(centre - reach, centre + reach, 50) + link.gravity_angle))))
-    effort = settings.effort
+    effort = SETTINGS.effort
     found: list[PlannedExperiment] = []
 
     def add(name: str, text: str, points: Sequence[Waypoint], mounting: Mounting = link, **options: Any) -> None:
@@ -610,8 +606,8 @@ def experiments(
 
     def shortest(way: float) -> float:
         """Return the shortest time [s] of a move [rad] that motor and rated torque allow."""
-        speed = settings.speed * p["supply_voltage"] / (p["Kt"] * N)
-        left = max(settings.load * rated - link.gravity_moment * steepest, 0.2 * rated)
+        speed = SETTINGS.speed * p["supply_voltage"] / (p["Kt"] * N)
+        left = max(SETTINGS.load * rated - link.gravity_moment * steepest, 0.2 * rated)
         motor = 0.4 * p["Kt"] * p["current_limit"] / ((p["Jm"] + p["Jw"]) * N)
         return max(1.875 * way / speed, float(np.sqrt(5.78 * way / min(left / link.inertia, motor))), 0.5)
 
@@ -632,10 +628,10 @@ def experiments(
     up = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
     add("rest_poses", f"Hold still at seven angles within {span(reach)}, each reached from both sides", up)
     wide = min(1.4 * reach, 2.4)
-    if wide > 1.2 * reach or reach < settings.range:
+    if wide > 1.2 * reach or reach < SETTINGS.range:
         add("larger_range", f"Move the link as far as {span(wide)} and back, 8 s each way", sweeps(wide, 8.0))
     arm = 0.3
-    extra = min(0.25 * rated, settings.heaviest * rated - link.gravity_moment)
+    extra = min(0.25 * rated, SETTINGS.heaviest * rated - link.gravity_moment)
     if extra > 0.05 * rated:
         mass = float(f"{extra / (GRAVITY * arm):.1g}")
         loaded = Mounting(
@@ -660,7 +656,7 @@ def experiments(
             usual, lightest, effort=effort[0],
         )  # fmt: skip
     if "motor_position" in seen:
-        torque = settings.load * rated
+        torque = SETTINGS.load * rated
         winding, soft = _locked(p, torque)
         add(
             "locked_output",
@@ -679,8 +675,8 @@ def experiments(
     if "temperature" not in seen:
         add(
             "with_temperature",
-            f"Record the gear's temperature (column temperature) from cold until {settings.warming:g} K warmer, and {motion}",
-            usual, effort=effort[2], channels=seen | {"temperature"}, warming=settings.warming,
+            f"Record the gear's temperature (column temperature) from cold until {SETTINGS.warming:g} K warmer, and {motion}",
+            usual, effort=effort[2], channels=seen | {"temperature"}, warming=SETTINGS.warming,
         )  # fmt: skip
     return found
 

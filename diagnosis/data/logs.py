@@ -378,7 +378,9 @@ class _Text(Log):
         self._table = TextTable(path, _bytes(source), wanted, form.text)
         self.names = self._table.names
         self.units = self._table.head.units
-        self.note = f"the last line is left out: it is incomplete ({self._table.torn[:40]!r})" if self._table.torn else ""
+        self.note = (
+            f"the last line is left out: it is incomplete ({self._table.torn[:40]!r})" if self._table.torn else ""
+        )
         self._turns = next((k for pattern, k in form.interleaved.items() if fnmatchcase(path.name, pattern)), 0)
         if self._turns:
             if len(self.names) != 1:
