@@ -35,7 +35,7 @@ def command(
     from ..diagnosis.data import coverage
     from ..diagnosis.data.mistakes import find_mistakes, mended_if_possible
     from ..diagnosis.regression import regressions
-    from ..estimator.conditioning import coarser
+    from ..estimator.conditioning import coarser, condition
     from ..models import causes
     from ..models.command_lines import mending
     from ..models.files import json_text
@@ -48,11 +48,13 @@ def command(
     mistakes = find_mistakes(given, described)
     possible = mended_if_possible(given, described, mistakes)
     data, correction = (given, "") if possible is None else (possible, mending(given, described))
-    summaries = [coverage.summarise(recording, described) for recording in data.recordings]
+    conditioned = [condition(recording, described) for recording in data.recordings]
+    pairs = zip(data.recordings, conditioned, strict=True)
+    summaries = [coverage.summarise(recording, described, one) for recording, one in pairs]
     missing, found = coverage.missing_columns(data), coverage.balances(data)
     reasons = coverage.undetermined(data, described, summaries)
     shows = [name for name in causes.of(described) if name not in reasons]
-    coarse, plain = coarser(data.recordings, described), regressions(data, described)
+    coarse, plain = coarser(data.recordings, described), regressions(data, described, conditioned)
     for recording in data.recordings:
         ratio = coverage.torque_over_current(recording, described)
         if ratio is not None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..estimator.conditioning import as_logged
+from ..estimator.conditioning import as_logged, condition
 from ..models import causes
 from ..models.joint import Joint
 from ..models.recording import Measurement
@@ -67,8 +67,10 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         return invalid_data(joint, mistakes)
     measurement = most_telling(measurement)
     joint = as_logged(joint, measurement.recordings)
-    problem = Problem(*segments(list(measurement.recordings), joint), joint)
-    missing = coverage.undetermined(measurement, joint)
+    conditioned = [condition(r, joint) for r in measurement.recordings]
+    problem = Problem(*segments(conditioned, joint), joint)
+    pairs = zip(measurement.recordings, conditioned, strict=True)
+    missing = coverage.undetermined(measurement, joint, [coverage.summarise(r, joint, c) for r, c in pairs])
     if not any(s.usable.any() for s in problem.segments):
         why = (
             coverage.too_little(measurement, joint)
@@ -76,7 +78,7 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         )
         return Diagnosis("inconclusive", (why,), (), {}, (), missing, {}, (), joint, mistakes=mistakes)
     offered = _offered(problem, measurement)
-    plain = regressions(measurement, joint)
+    plain = regressions(measurement, joint, conditioned)
     progress("calibrating the joint", 0.02)
     found, slow = _search(problem, offered, plain, progress, deadline)
     progress("numbers and their uncertainty", 0.92)
@@ -291,7 +293,7 @@ def _limits(
     looked = {h.cause.name for h in offered}
     for name in causes.of(problem.joint):
         if name not in looked and name not in undetermined:
-            undetermined[name] = "it lives in the torsion, which one encoder does not show"
+            undetermined[name] = "it affects the torsion, which one encoder does not measure"
     for name in weak:
         undetermined.setdefault(name, "at ordinary size it would drown in tolerances and noise")
     return {n: r for n, r in sorted(undetermined.items()) if n not in named}, tuple(alike)
