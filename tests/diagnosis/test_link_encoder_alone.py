@@ -86,7 +86,7 @@ def test_pushes_that_nobody_measured_do_not_count_with_one_encoder():
 def test_what_the_gear_makes_of_a_current_is_not_asked_of_the_links_encoder():
     measurement = Measurement("log", Path(), (log("link_position", 1.0),))
     joint = load_joint("test-joint")
-    assert "how the rotor answers" in undetermined(measurement, joint)["kinematic_error"]
+    assert "depends on the rotor's response" in undetermined(measurement, joint)["kinematic_error"]
     assert not can_show("kinematic_error", measurement, link_measured=False)
     motor = Measurement("log", Path(), (log("motor_position", 100.0),))
     assert can_show("kinematic_error", motor, link_measured=False)
