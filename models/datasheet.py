@@ -18,7 +18,7 @@ from typing import Any
 from .catalogue import Gear, gear
 from .errors import InputError, nearest
 from .files import check_name, flow_text, write_into_place
-from .gear_sheet import Fit, GearSheet, fit, hysteresis
+from .gear_sheet import GearFit, GearSheet, fit, hysteresis
 from .joint import Joint, as_joint
 from .joint_mjcf import mjcf_text
 from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, value_fault
@@ -198,7 +198,7 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
         raise InputError(f"datasheet: expected {', '.join(missing)}, got none")
     name = check_name(sheet.name or catalogued.name.lower(), "name")
     path = path or Path(f"{name.replace('-', '_')}.yaml")
-    fitted = Fit({}, [])
+    fitted = GearFit({}, [])
     if sheet.gear is not None:
         before = _Rules(catalogued, given)
         fitted = fit(sheet.gear, {symbol: before[symbol] for symbol in ("Fs", "Fc", "vs", "bw")}, given)

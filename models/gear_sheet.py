@@ -23,7 +23,7 @@ from .parameters import neutral
 
 RPM = 2 * math.pi / 60
 _ARCMIN = math.radians(1 / 60)
-_Positive = Annotated[float, Field(gt=0)]
+_Positive = Annotated[float, Field(gt=0, le=1e6)]
 _Temperature = Annotated[float, Field(ge=-100, le=200)]
 
 
@@ -64,7 +64,7 @@ class Efficiency(Curve):
     @model_validator(mode="after")
     def _shares(self) -> Efficiency:
         for value in self.efficiency:
-            if not 0 < value < 1:
+            if not 1e-3 < value < 1:
                 raise ValueError(f"efficiency: expected a share between 0 and 1 (0.77 for 77 %), got {value:g}")
         return self
 
@@ -93,27 +93,27 @@ class GearSheet(Strict):
 
     @model_validator(mode="after")
     def _something(self) -> GearSheet:
-        if not self.points() and self.hysteresis_loss is None and self.ratcheting_torque is None:
+        if not self.entries() and self.hysteresis_loss is None and self.ratcheting_torque is None:
             raise ValueError("expected running_torque, efficiency or another entry of a gear's data sheet, got none")
         return self
 
-    def points(self) -> list[Point]:
+    def entries(self) -> list[SheetEntry]:
         """Return the entries with a friction torque."""
         found = [
-            Point("running torque [N·m]", speed * RPM, 0.0, curve.temperature, value)
+            SheetEntry("running torque [N·m]", speed * RPM, 0.0, curve.temperature, value)
             for curve in self.running_torque
             for speed, value in zip(curve.speed, curve.torque, strict=True)
         ]
         found += [
-            Point(_EFFICIENCY, speed * RPM, curve.load, curve.temperature, value)
+            SheetEntry(_EFFICIENCY, speed * RPM, curve.load, curve.temperature, value)
             for curve in self.efficiency
             for speed, value in zip(curve.speed, curve.efficiency, strict=True)
         ]
         if self.starting_torque is not None:
-            found.append(Point("starting torque [N·m]", _CREEP, 0.0, self.temperature, self.starting_torque))
+            found.append(SheetEntry("starting torque [N·m]", _CREEP, 0.0, self.temperature, self.starting_torque))
         if self.back_driving_torque is not None:
             back = self.back_driving_torque
-            found.append(Point("back-driving torque [N·m]", _CREEP, -back, self.temperature, back))
+            found.append(SheetEntry("back-driving torque [N·m]", _CREEP, -back, self.temperature, back))
         return found
 
 
@@ -121,7 +121,7 @@ _EFFICIENCY = "efficiency"
 _CREEP = 1e-9  # rad/s: motion starts
 
 
-class Point(NamedTuple):
+class SheetEntry(NamedTuple):
     """An entry: its kind, motor speed [rad/s], load [N·m] (negative: it drives the motor), temperature [°C], stated
     value [N·m at the motor; back-driving at the output; efficiency as a share]."""
 
@@ -155,7 +155,7 @@ class Point(NamedTuple):
         return self.load / (self.load + N * friction) if self.kind == _EFFICIENCY else friction
 
 
-def _friction(at: Point, p: np.void) -> float:
+def _friction(at: SheetEntry, p: np.void) -> float:
     """Return the friction of the gear alone at an entry's speed, load and temperature [N·m, motor side]."""
     sliding = laws.stribeck_friction(at.speed, 0.0, at.load, 0.0, at.temperature, p)
     return float(sliding + laws.viscous_friction(at.speed, at.temperature, p))
@@ -176,7 +176,7 @@ _FREE = {
     # logarithms of Fs, Fc/Fs (below 1), vs, bw/Fc over their rules
     "Fs": _Free(0.0, math.log(2), -5, 5, 0.9), "Fc": _Free(0.0, 0.3, -3, 0.22, 0.9),
     "vs": _Free(0.0, math.log(1.4), -3, 3, 0.9), "bw": _Free(0.0, math.log(3), -6, 6, 0.9),
-    "viscous_exponent": _Free(1.0, 0.4, 0.2, 1.5, 0.5),
+    "viscous_exponent": _Free(1.0, 0.4, 0.2, 1.5, 0.75),
     "load": _Free(0.1, 0.2, 0.0, 2.0, 0.5), "back_driven": _Free(0.1, 0.1, 0.0, 0.99, 0.5),
     "temperature": _Free(0.0, 0.02, -0.1, 0.1, 0.5),
 }  # fmt: skip
@@ -184,7 +184,7 @@ _READING = 0.03  # relative error of reading a number from a data sheet
 
 
 @dataclass(frozen=True)
-class Fit:
+class GearFit:
     """A fit to a data sheet.
 
     Attributes:
@@ -197,8 +197,8 @@ class Fit:
     effects: list[dict[str, Any]]
 
 
-def fit(sheet: GearSheet, rules: Mapping[str, float], given: Mapping[str, float]) -> Fit:
-    """Fit friction to a data sheet. A number that it does not determine keeps its rule.
+def fit(sheet: GearSheet, rules: Mapping[str, float], given: Mapping[str, float]) -> GearFit:
+    """GearFit friction to a data sheet. A number that it does not determine keeps its rule.
 
     Args:
       sheet: the data sheet.
@@ -210,15 +210,15 @@ def fit(sheet: GearSheet, rules: Mapping[str, float], given: Mapping[str, float]
     """
     from scipy.optimize import least_squares
 
-    points = sheet.points()
-    if not points:
-        return Fit({}, [])
+    entries = sheet.entries()
+    if not entries:
+        return GearFit({}, [])
     N = float(given["N"])
-    stated = np.log([one.friction(N) for one in points])
+    stated = np.log([one.friction(N) for one in entries])
 
     def residual(free: list[str], x: np.ndarray) -> np.ndarray:
         p = _record(dict(zip(free, x, strict=True)), rules, given)
-        return np.log([_friction(one, p) for one in points]) - stated
+        return np.log([_friction(one, p) for one in entries]) - stated
 
     def solve(free: list[str], spread: float) -> tuple[np.ndarray, np.ndarray]:
         """Return parameters and their covariance."""
@@ -237,15 +237,15 @@ def fit(sheet: GearSheet, rules: Mapping[str, float], given: Mapping[str, float]
             for name, v in zip(free, np.diag(covariance), strict=True)
         ]
         left = residual(free, x)
-        found = math.sqrt(float(left @ left) / max(len(points) - len(free), 1))
+        found = math.sqrt(float(left @ left) / max(len(entries) - len(free), 1))
         if max(undetermined) > 1:
             free.pop(undetermined.index(max(undetermined)))
-        elif found > 1.1 * spread and len(points) > len(free):
+        elif found > 1.1 * spread and len(entries) > len(free):
             spread = found
         else:
             break
     if not free:
-        return Fit({}, [])
+        return GearFit({}, [])
     # Numbers by rule are as uncertain as their rule, which widens the deviations of the others.
     wide = [name for name in _FREE if name in free or (name in _RULED and name not in given)]
     covariance = solve(wide, spread)[1]
@@ -258,7 +258,7 @@ def fit(sheet: GearSheet, rules: Mapping[str, float], given: Mapping[str, float]
             numbers[symbol] = float(p[symbol]), float(np.expm1(math.sqrt(along @ covariance @ along)))
     if (exponent := "viscous_exponent") in free:
         numbers[exponent] = float(p[exponent]), float(deviation[exponent] / p[exponent])
-    return Fit(numbers, _effects(p, {name: deviation[name] for name in free}, sheet.scatter))
+    return GearFit(numbers, _effects(p, {name: deviation[name] for name in free}, sheet.scatter))
 
 
 _RULED = {"Fs": ("Fs",), "Fc": ("Fs", "Fc"), "vs": ("vs",), "bw": ("Fs", "Fc", "bw")}
@@ -349,12 +349,12 @@ def hysteresis(sheet: GearSheet, record: np.ndarray, rated: float) -> list[dict[
 def comparison(joint: Joint, sheet: GearSheet) -> dict[str, Any]:
     """Return a joint's predictions at a data sheet's entries (`gear_sheet`), the RMS residual of the friction and notes.
 
-    A row's `error` is predicted − stated, in points for an efficiency, else relative [%].
+    A row's `error` is predicted − stated, in entries for an efficiency, else relative [%].
     """
     record, rated = joint.record(), joint.numbers["rated_torque"].value
     p = record[0]
-    points = sheet.points()
-    rows = [(one.kind, one.at, one.value, one.predicted(p)) for one in points]
+    entries = sheet.entries()
+    rows = [(one.kind, one.at, one.value, one.predicted(p)) for one in entries]
     if sheet.hysteresis_loss is not None:
         rows.append(
             ("hysteresis loss [′]", f"{rated:.4g} N·m", sheet.hysteresis_loss, 2 * half_width(p, rated) / _ARCMIN)
@@ -363,19 +363,26 @@ def comparison(joint: Joint, sheet: GearSheet) -> dict[str, Any]:
     for kind, at, stated, predicted in rows:
         error = 100 * (predicted - stated if kind == _EFFICIENCY else predicted / stated - 1)
         found.append({"entry": kind, "at": at, "stated": stated, "predicted": predicted, "error": error})
-    residual = [math.log(_friction(one, p) / one.friction(float(p["N"]))) for one in points]
+    residual = [math.log(_friction(one, p) / one.friction(float(p["N"]))) for one in entries]
     rms = math.sqrt(sum(x**2 for x in residual) / max(len(residual), 1))
-    return {"gear_sheet": found, "residual": rms, "notes": notes(sheet, p)}
+    return {"gear_sheet": found, "residual": rms, "notes": notes(sheet, p, rms)}
 
 
-def notes(sheet: GearSheet, p: np.void) -> list[str]:
-    """Return a line for each thing of a data sheet that the joint's laws do not carry."""
+_POOR = 0.35  # RMS relative residual that data sheets' scatter does not explain
+
+
+def notes(sheet: GearSheet, p: np.void, residual: float) -> list[str]:
+    """Return a line for each thing of a data sheet that the joint's laws do not carry or fit badly."""
     found = []
+    if residual > _POOR:
+        found.append(
+            f"the joint's friction differs from the data sheet by {100 * residual:.3g} %: check N·m, 1/min and shares"
+        )
     if (most := sheet.ratcheting_torque) is not None:
         motor = float(p["N"] * p["Kt"] * p["current_limit"])
         line = f"ratcheting torque {most:g} N·m: no law of the joint has it; the motor gives {motor:.3g} N·m at most"
         found.append(line + (", which can make the gear ratchet" if motor > most else ""))
-    if p["friction_temperature"] == 0 and len({one.temperature for one in sheet.points()}) > 1:
+    if p["friction_temperature"] == 0 and len({one.temperature for one in sheet.entries()}) > 1:
         found.append("temperature: the joint's friction does not depend on it; the data sheet's does")
     if p["hysteresis_torque"] == 0 and sheet.hysteresis_loss is not None:
         found.append("hysteresis loss: no effect added, as mesh friction alone makes the loop that wide")
