@@ -312,9 +312,9 @@ class Table:
         if "position_command" in there:
             yield _unit("position_command", "rad on the motor side", 1 / N)
         for column in (*DRIVING, "external_torque"):
-            if column in there:  # with one encoder a reversed angle looks the same, but is rarer
+            if column in there - self.unsigned:  # with one encoder a reversed angle looks the same, but is rarer
                 yield replace(_sign(column), price=price - 2)
-            if column in there & self.unsigned:
+            if column in there & self.unsigned:  # a magnitude has no sign that could be reversed
                 text = "its magnitude without its sign: it touches zero as often as a signed torque would cross it"
                 yield replace(_sign(column), description=text, lost=True, price=-SETTINGS.folded)
         units = [
