@@ -349,7 +349,7 @@ def hysteresis(sheet: GearSheet, record: np.ndarray, rated: float) -> list[dict[
 def comparison(joint: Joint, sheet: GearSheet) -> dict[str, Any]:
     """Return a joint's predictions at a data sheet's entries (`gear_sheet`), the RMS residual of the friction and notes.
 
-    A row's `error` is predicted − stated, in entries for an efficiency, else relative [%].
+    A row's `error` is predicted − stated, in points for an efficiency, else relative [%].
     """
     record, rated = joint.record(), joint.numbers["rated_torque"].value
     p = record[0]
