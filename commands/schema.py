@@ -14,6 +14,7 @@ from ._options import with_plugins
 EXAMPLES = ("flexspline schema scenario", "flexspline schema --out schemas")
 KINDS = {
     "joint": ("models.joint", "Joint", "A joint's description"),
+    "gear": ("models.gear_sheet", "GearSheet", "A gear's data sheet"),
     "scenario": ("scenarios.scenario", "Scenario", "A scenario"),
     "arm": ("scenarios.arms.arm_scenario", "ArmScenario", "A scenario of joints in series"),
     "study": ("scenarios.studies.study", "Study", "A study"),

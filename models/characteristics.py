@@ -102,7 +102,7 @@ def characteristics(joint: Joint) -> Characteristics:
         return np.array([_friction(w, q) for w in speed])
 
     def width(q: np.void) -> np.ndarray:
-        return np.array(_half_width(*_loop(q, rated)))
+        return np.array(half_width(q, rated))
 
     wound = torsion(p)
     slope = np.gradient(wound, torque)
@@ -181,6 +181,11 @@ def _branch(
     size = np.abs(deflection)
     back = np.sign(deflection) * (np.interp(size, grid, torque) + end * np.maximum(size - reach, 0.0))
     return deflection, back + friction * ((state + 1) * np.exp(-way / extent) - 1)
+
+
+def half_width(p: np.void, rated: float) -> float:
+    """Return half the width [rad] of a slow loop to the rated torque [N·m] at zero torque, rotor locked."""
+    return _half_width(*_loop(p, rated))
 
 
 def _half_width(torsion: np.ndarray, torque: np.ndarray) -> float:

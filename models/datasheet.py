@@ -18,6 +18,7 @@ from typing import Any
 from .catalogue import Gear, gear
 from .errors import InputError, nearest
 from .files import check_name, flow_text, write_into_place
+from .gear_sheet import GearFit, GearSheet, fit, hysteresis
 from .joint import Joint, as_joint
 from .joint_mjcf import mjcf_text
 from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, value_fault
@@ -123,6 +124,7 @@ class Datasheet:
       tolerances: relative standard deviations of given numbers, if not those of a datasheet.
       inertia, gravity_moment: of the load [kg·m²], [N·m] at horizontal; None: by the gear's size.
       description: in words; empty: gear and motor.
+      gear: the gear's data sheet; friction and hysteresis are fitted to it.
     """
 
     series: str
@@ -138,6 +140,7 @@ class Datasheet:
     inertia: float | None = None
     gravity_moment: float | None = None
     description: str = ""
+    gear: GearSheet | None = None
 
 
 @dataclass(frozen=True)
@@ -195,10 +198,22 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
         raise InputError(f"datasheet: expected {', '.join(missing)}, got none")
     name = check_name(sheet.name or catalogued.name.lower(), "name")
     path = path or Path(f"{name.replace('-', '_')}.yaml")
+    fitted = GearFit({}, [])
+    if sheet.gear is not None:
+        before = _Rules(catalogued, given)
+        fitted = fit(sheet.gear, {symbol: before[symbol] for symbol in ("Fs", "Fc", "vs", "bw")}, given)
+        given |= {symbol: float(f"{value:.4g}") for symbol, (value, _) in fitted.numbers.items()}
     rules = _Rules(catalogued, given)
     numbers: dict[str, dict[str, Any]] = {}
-    for symbol, (unit, _) in SYMBOLS.items():
-        if symbol in given:
+    for symbol, (unit, _) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
+        if symbol in OPTIONAL_SYMBOLS and symbol not in given:
+            continue
+        if sheet.gear is not None and symbol in fitted.numbers:
+            tolerance = sheet.tolerances.get(symbol, float(f"{fitted.numbers[symbol][1]:.2g}"))
+            numbers[symbol] = _row(given[symbol], unit, tolerance, f"fitted to {sheet.gear.source}")
+            if symbol == "bw":
+                numbers[symbol]["shared"] = "friction"
+        elif symbol in given:
             numbers[symbol] = _row(given[symbol], unit, *_given(symbol, sheet, catalogued))
         else:
             value, tolerance, rule = rules.of(symbol)
@@ -207,6 +222,7 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
             numbers[symbol]["shared"] = _SHARED[symbol]
     values = {symbol: float(row["value"]) for symbol, row in numbers.items()}
     exact = catalogued.exact
+    scatter = sheet.gear.scatter if sheet.gear is not None else 0.0
     data: dict[str, Any] = {
         "format": 1,
         "name": name,
@@ -215,7 +231,7 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
         "mounting": "link",
         "shared_tolerances": {
             "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if exact else 0.2,
-            "friction": 0.2 if "Fc" in sheet.numbers else _FACTOR_2,
+            "friction": scatter if "Fs" in fitted.numbers else 0.2 if "Fc" in sheet.numbers else _FACTOR_2,
         },
         "numbers": numbers,
         "kinematic_error": rules.kinematic_error(),
@@ -225,8 +241,12 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
         },
         "mountings": _mountings(sheet, catalogued, values),
         "sensors": _sensors(sheet, values),
+        "effects": fitted.effects,
     }
     joint = as_joint(data, path)
+    if sheet.gear is not None and sheet.gear.hysteresis_loss is not None:
+        effect = hysteresis(sheet.gear, joint.record(), values["rated_torque"])
+        joint = as_joint(data | {"effects": [*fitted.effects, *effect]}, path)
     return NewJoint(joint, tuple(_filled(data, sheet)), catalogued, path)
 
 
@@ -284,6 +304,8 @@ def _text(joint: Joint) -> str:
             for order in value:
                 rows = [f"{name}: {flow_text(one)}" for name, one in order.items()]
                 lines += [f"  - {rows[0]}", *(f"    {row}" for row in rows[1:])]
+        elif key == "effects":
+            lines += [f"{key}:", *(f"  - {flow_text(effect)}" for effect in value)]
         elif key == "sensors":
             lines.append(f"{key}:")
             for sensor, spec in value.items():

@@ -10,10 +10,12 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from ..models.gear_sheet import comparison
 from .tables import heading, narrow_table
 
 if TYPE_CHECKING:
     from ..models.characteristics import Characteristics
+    from ..models.gear_sheet import GearSheet
     from ..models.joint import Joint
 
 WIDTH = 80
@@ -31,6 +33,24 @@ def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str
         _stiffness(c, number["rated_torque"]), Text(_hysteresis(c)), "", _resonances(c, number["rated_torque"]),
         Text("\n".join(_encoders(c))), "", Text("Causes that a diagnosis can detect", style="bold"), *(_causes(seen)),
     )  # fmt: skip
+
+
+def comparison_text(joint: Joint, sheet: GearSheet) -> RenderableType:
+    """Return the joint's predictions at the entries of its gear's data sheet."""
+    found = comparison(joint, sheet)
+    table = narrow_table(
+        f"Predictions and {sheet.source}",
+        f"error: of an efficiency in points, else relative [%]; RMS of the friction {100 * found['residual']:.2g} %",
+    )
+    for name in ("entry", "at"):
+        table.add_column(name)
+    for name in ("stated", "predicted", "error"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in found["gear_sheet"]:
+        table.add_row(
+            Text(row["entry"]), row["at"], f"{row['stated']:.3g}", f"{row['predicted']:.3g}", f"{row['error']:+.1f}"
+        )
+    return Group(table, *(Text("\n".join(textwrap.wrap(note, WIDTH))) for note in found["notes"]))
 
 
 def _stiffness(c: Characteristics, rated: float) -> RenderableType:

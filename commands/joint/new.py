@@ -15,6 +15,7 @@ from ...models.errors import InputError
 
 if TYPE_CHECKING:
     from ...models.datasheet import NewJoint
+    from ...models.gear_sheet import GearSheet
 
 _ASKED = {
     "gear": ("--gear", "Gear, as series-size-ratio (CSG-25-100)"),
@@ -41,6 +42,12 @@ def command(
     rotor_inertia: Annotated[str | None, typer.Option(help="Of the motor, Jm: `181 gcm²`.")] = None,
     motor_encoder: Annotated[str | None, typer.Option(help="Counts per turn, `4096`, or bits, `12 bit`.")] = None,
     link_encoder: Annotated[str | None, typer.Option(help="Counts per turn or bits, `20 bit`.")] = None,
+    gear_sheet: Annotated[
+        Path | None,
+        typer.Option(
+            help="The gear's data sheet, .yaml: running and starting torque, efficiency, hysteresis; friction is fitted to it."
+        ),
+    ] = None,
     motor: Annotated[str, typer.Option(help="Name of the motor, for the sources.")] = "",
     name: Annotated[str, typer.Option(help="Of the joint; by default that of the gear.")] = "",
     description: Annotated[str, typer.Option(help="A sentence for people.")] = "",
@@ -79,6 +86,8 @@ def command(
     them with the rule.
     """
     from ...models.datasheet import Datasheet, new_joint, quantity, write_joint
+    from ...models.files import load
+    from ...models.gear_sheet import GearSheet, comparison
     from ...models.joint_check import check
 
     answers = {
@@ -96,9 +105,11 @@ def command(
     encoders = {key: read.pop(key) for key in ("motor_encoder", "link_encoder")}
     numbers = read | {symbol: quantity(text, symbol, f"--set {symbol}") for symbol, text in _pairs("--set", changes)}
     shares = {symbol: _share(symbol, text) for symbol, text in _pairs("--tolerance", tolerances)}
+    catalogue = load(gear_sheet, GearSheet, "a gear's data sheet") if gear_sheet is not None else None
     sheet = Datasheet(
         series=series, size=size, ratio=ratio, numbers=numbers, name=name, motor=motor, tolerances=shares, inertia=inertia,
-        gravity_moment=gravity_moment, description=description, sources=dict(_pairs("--source", sources)), **encoders,
+        gravity_moment=gravity_moment, description=description, sources=dict(_pairs("--source", sources)), gear=catalogue,
+        **encoders,
     )  # fmt: skip
     if out is not None and out.suffix != ".yaml":
         raise InputError(f"--out {out}: expected a file .yaml")
@@ -107,14 +118,15 @@ def command(
         if target.exists() and not force:
             raise InputError(f"{target}: expected no such file, --force replaces it")
     path, mjcf = write_joint(made.joint, made.path)
+    compared = comparison(made.joint, catalogue) if catalogue is not None else {}
     if as_json:
-        found = {
+        found = compared | {
             "file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled],
             "problems": [asdict(p) for p in check(path).problems],
         }  # fmt: skip
         print(json.dumps(found, indent=1, ensure_ascii=False))
         return
-    _show(made, path, mjcf)
+    _show(made, path, mjcf, catalogue)
 
 
 def _read(key: str, text: str) -> Any:
@@ -170,11 +182,12 @@ def _spread(tolerance: float) -> str:
     return f"factor {1 + tolerance:.2g}" if tolerance > NARROW else f"{100 * tolerance:.0f} %"
 
 
-def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
+def _show(made: NewJoint, path: Path, mjcf: Path, catalogue: GearSheet | None) -> None:
     from rich.text import Text
 
     from ...models.characteristics import drive_gains
     from ...models.joint_check import check
+    from ...views.joint_text import comparison_text
     from ...views.tables import narrow_table
     from .._console import console
     from .check import line
@@ -192,6 +205,8 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
         tolerance = _spread(f.tolerance)
         table.add_row(Text(f.name), Text(f"{f.value:.4g}{unit}"), tolerance, Text(f.rule))
     terminal.print(table)
+    if catalogue is not None:
+        terminal.print(comparison_text(made.joint, catalogue))
     for problem in check(path).problems:
         terminal.print(line(path, problem), style="yellow", soft_wrap=True)
     terminal.print(f"{path} and {mjcf}")

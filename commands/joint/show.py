@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "flexspline joint show csg-25-100-tbm2g",
     "flexspline joint show my_joint.yaml --out my_joint.png",
+    "flexspline joint show my_joint.yaml --gear-sheet gear.yaml",
 )
 
 
@@ -27,33 +28,44 @@ def command(
         str, typer.Argument(help="Name of a shipped joint, or a joint description.", metavar="JOINT")
     ] = "test-joint",
     out: Annotated[Path | None, typer.Option(help="Write the figure to this file, .png.")] = None,
+    gear_sheet: Annotated[
+        Path | None, typer.Option(help="The gear's data sheet, .yaml, to compare the predictions with.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
 ) -> None:
     """Show a joint: stiffness, hysteresis, friction, resonances, resolution of the encoders, detectable causes.
 
-    `--out joint.png` draws it.
+    `--out joint.png` draws it. `--gear-sheet` adds the predicted friction and efficiency at each entry of a data sheet.
     """
     from ...models.characteristics import characteristics
+    from ...models.files import load
+    from ...models.gear_sheet import GearSheet, comparison
     from ...models.joint import load_joint
 
     if out is not None and out.suffix != ".png":
         raise InputError(f"--out {out}: expected a file .png")
     described = load_joint(joint)
+    catalogue = load(gear_sheet, GearSheet, "a gear's data sheet") if gear_sheet is not None else None
     found = characteristics(described)
     seen = _seen(described)
     if as_json:
         shown = {key: _plain(value) for key, value in asdict(found).items()}
-        print(json.dumps({"joint": described.name, **shown, "diagnosis": seen}, indent=1, ensure_ascii=False))
+        compared = comparison(described, catalogue) if catalogue is not None else {}
+        print(
+            json.dumps({"joint": described.name, **shown, **compared, "diagnosis": seen}, indent=1, ensure_ascii=False)
+        )
     else:
-        from ...views.joint_text import WIDTH, joint_text
+        from ...views.joint_text import WIDTH, comparison_text, joint_text
         from .._console import console
 
         console().print(joint_text(described, found, seen), width=WIDTH)
+        if catalogue is not None:
+            console().print(comparison_text(described, catalogue), width=WIDTH)
     if out is not None:
         from ...views.figures.joint import joint_figure
         from ...views.figures.sheet import save
 
-        save(joint_figure(described, found, seen), out)
+        save(joint_figure(described, found, seen, catalogue), out)
         if not as_json:
             print(out)
 

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from flexspline.diagnosis.data.importing import Layout
 from flexspline.models.errors import InputError
 from flexspline.models.files import parse, read_yaml, yaml_text
+from flexspline.models.gear_sheet import GearSheet
 from flexspline.models.joint import Joint
 from flexspline.models.recording import Sidecar
 from flexspline.scenarios.scenario import Scenario
 from flexspline.scenarios.studies.study import Study
 
-MODELS = (Joint, Scenario, Study, Layout, Sidecar)
+MODELS = (Joint, GearSheet, Scenario, Study, Layout, Sidecar)
 
 odd: st.SearchStrategy[Any] = st.one_of(
     st.none(),

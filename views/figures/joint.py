@@ -11,11 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
+from ...models.gear_sheet import RPM
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, TRUTH
 from .sheet import sheet, styled
 
 if TYPE_CHECKING:
     from ...models.characteristics import Characteristics
+    from ...models.gear_sheet import GearSheet
     from ...models.joint import Joint
 
 _BAND = 0.25
@@ -23,12 +25,15 @@ _COLUMN = 118  # characters of the last panel's text
 
 
 @styled
-def joint_figure(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str]]) -> Figure:
+def joint_figure(
+    joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str]], sheet_of_gear: GearSheet | None = None
+) -> Figure:
     """Draw a joint.
 
     Args:
       joint: the description; c: its characteristics (`models.characteristics`).
       seen: causes by the channels that a diagnosis needs to detect them.
+      sheet_of_gear: its running torques are drawn over the friction.
 
     Returns:
       A figure with bands of one standard deviation of the tolerances.
@@ -45,6 +50,12 @@ def joint_figure(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[s
     _stiffness(stiffness, c, rated)
     _loop(loop, c)
     _friction(friction, c)
+    if sheet_of_gear is not None:
+        N = joint.numbers["N"].value
+        for curve in sheet_of_gear.running_torque:
+            speed, torque = np.array(curve.speed) * RPM / N, np.array(curve.torque) * N
+            friction.plot(speed, torque, "o", label=f"data sheet, {curve.temperature:g} °C")
+        friction.legend()
     if c.resonances:
         _resonances(lowest, c, rated)
     _resolution(stiffness, c)
