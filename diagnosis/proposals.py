@@ -10,8 +10,7 @@ from ..models.errors import InputError
 from ..models.files import check_format, read_json
 from ..models.joint import Joint
 from ..models.recording import Measurement
-from .diagnose import diagnose
-from .planning import Plan, plan
+from . import diagnose, planning
 
 _BY = 1.0
 """Time [s] after which the search begins no further stage: the calibration shows the open questions."""
@@ -19,7 +18,7 @@ _BY = 1.0
 
 def plan_from(
     measurement: Measurement, joint: Joint, progress: Callable[[str, float], None] = lambda stage, done: None
-) -> Plan:
+) -> planning.Plan:
     """Plan what to measure next, after a diagnosis of a few seconds.
 
     Args:
@@ -29,11 +28,11 @@ def plan_from(
     Raises:
       InputError: a measurement for which nothing can be planned.
     """
-    found = diagnose(measurement, joint, progress=lambda name, done: progress(name, 0.6 * done), seconds=_BY)
+    found = diagnose.diagnose(measurement, joint, progress=lambda name, done: progress(name, 0.6 * done), seconds=_BY)
     if found.problem is None:
         raise InputError(f"{measurement.name}: nothing can be planned: {found.reason}")
     progress("what to measure next", 0.6)
-    return plan(measurement, found)
+    return planning.plan(measurement, found)
 
 
 def read_proposals(folder: Path) -> list[dict[str, Any]]:
