@@ -6,7 +6,7 @@ import warnings
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ..estimator.conditioning import Coarse, coarser
+from ..estimator.conditioning import Coarse, coarser, condition
 from ..models import causes
 from ..models.errors import InputWarning
 from ..models.joint import Joint
@@ -79,11 +79,13 @@ def check(measurement: Measurement, joint: Joint) -> Check:
     mistakes = find_mistakes(measurement, joint)
     corrected = mended_if_possible(measurement, joint, mistakes)
     data = measurement if corrected is None else corrected
-    summaries = [coverage.summarise(recording, joint) for recording in data.recordings]
+    conditioned = [condition(recording, joint) for recording in data.recordings]
+    pairs = zip(data.recordings, conditioned, strict=True)
+    summaries = [coverage.summarise(recording, joint, one) for recording, one in pairs]
     reasons = coverage.undetermined(data, joint, summaries)
     found = Check(
         measurement, joint, corrected, tuple(mistakes), tuple(summaries), tuple(coverage.missing_columns(data)),
-        tuple(coarser(data.recordings, joint)), tuple(coverage.balances(data)), tuple(regressions(data, joint)),
+        coarser(data.recordings, joint), coverage.balances(data), regressions(data, joint, conditioned),
         tuple(name for name in causes.of(joint) if name not in reasons), reasons,
     )  # fmt: skip
     for recording in data.recordings:

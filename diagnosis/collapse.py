@@ -7,8 +7,8 @@ Structures, each linear in what is fitted, for the current that a motion takes:
 * `two_bodies`: Kt i = J θm'' + b θm' + s g(θm') sgn(θm') − cogging + load/N. Rotor and link with a spring between them, whose
   torque is a polynomial of the torsion; g is the joint's Stribeck curve without load.
 
-The load is what the link asks of the joint (inertia, weight, external torque). The target has bodies of its own for it; here the
-joint's own laws say it. Parameters are fitted to the current that the *joint's own laws* ask for on the motion (`fit.replay`), in
+The load is the torque on the joint (inertia, weight, external torque). The target has separate bodies for it; here the joint's
+laws compute it. Parameters are fitted to the current that the *joint's own laws* ask for on the motion (`fit.replay`), in
 the blocks that every fit takes. Errors are against the *measured* current in the blocks kept from every fit
 (`SegmentSettings.held_out_every`).
 """

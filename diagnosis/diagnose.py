@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..estimator.conditioning import as_logged
+from ..estimator.conditioning import as_logged, condition
 from ..models import causes
 from ..models.joint import Joint
 from ..models.recording import Measurement
@@ -29,8 +29,8 @@ from .improvement import serves
 from .regression import Regression, regressions
 from .search import discrepancy
 from .search.calibrate import CHANCE, PLAINLY, calibrate
-from .search.contribution import alone, excess, noise_square
-from .search.explore import Explored, Explorer, Progress
+from .search.contribution import excess, noise_square
+from .search.explore import Explored, Explorer, Progress, without
 from .search.identifiability import limits
 from .search.least_squares import fitter_in_motion, least_squares, regression_fit
 from .search.posterior import IMPERFECTION, TRACE, quiet_rms
@@ -67,8 +67,10 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         return invalid_data(joint, mistakes)
     measurement = most_telling(measurement)
     joint = as_logged(joint, measurement.recordings)
-    problem = Problem(*segments(list(measurement.recordings), joint), joint)
-    missing = coverage.undetermined(measurement, joint)
+    conditioned = [condition(r, joint) for r in measurement.recordings]
+    problem = Problem(*segments(conditioned, joint), joint)
+    pairs = zip(measurement.recordings, conditioned, strict=True)
+    missing = coverage.undetermined(measurement, joint, [coverage.summarise(r, joint, c) for r, c in pairs])
     if not any(s.usable.any() for s in problem.segments):
         why = (
             coverage.too_little(measurement, joint)
@@ -76,7 +78,7 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         )
         return Diagnosis("inconclusive", (why,), (), {}, (), missing, {}, (), joint, mistakes=mistakes)
     offered = _offered(problem, measurement)
-    plain = regressions(measurement, joint)
+    plain = regressions(measurement, joint, conditioned)
     progress("calibrating the joint", 0.02)
     found, slow = _search(problem, offered, plain, progress, deadline)
     progress("numbers and their uncertainty", 0.92)
@@ -157,11 +159,9 @@ def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
     if any(not h.free for h in best.model):  # an unknown effect would take the place of any cause
         return found
     while best.model:
-        fewer = [
-            fitter.fit(tuple(g for g in best.model if g is not h), best.theta[alone(problem, best, i)[1]])
-            for i, h in enumerate(best.model)
-        ]
-        less = min(fewer, key=lambda f: _unseen(problem, f))
+        linear = [without(problem, best, i) for i in range(len(best.model))]
+        start = min(linear, key=lambda one: one[1])[0]  # the cause of which the data say least
+        less = fitter.fit(start.model, start.theta)
         if _unseen(problem, less) > _unseen(problem, best):
             break
         best = less
@@ -293,7 +293,7 @@ def _limits(
     looked = {h.cause.name for h in offered}
     for name in causes.of(problem.joint):
         if name not in looked and name not in undetermined:
-            undetermined[name] = "it lives in the torsion, which one encoder does not show"
+            undetermined[name] = "it affects the torsion, which one encoder does not measure"
     for name in weak:
         undetermined.setdefault(name, "at ordinary size it would drown in tolerances and noise")
     return {n: r for n, r in sorted(undetermined.items()) if n not in named}, tuple(alike)

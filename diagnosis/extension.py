@@ -33,12 +33,12 @@ def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
 
 
 def _told(shift: float, std: float, prior: float) -> bool:
-    """Whether the data tell that a number is off: more of it than was known before, and by more than they leave open."""
+    """Return whether the data significantly change a number and reduce its uncertainty."""
     return std < 0.8 * prior and abs(shift) > max(2 * std, 0.1 * prior)
 
 
 DELAYS = {"motor_current": "current_delay", "joint_torque": "torque_sensor_delay"}
-"""Sensors whose delay is found, and what it is called."""
+"""Sensors with a fitted delay, and its name."""
 
 
 def _delays(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
@@ -49,7 +49,7 @@ def _delays(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
         shift, std = -prior * float(at.theta[j]), prior * float(np.sqrt(at.covariance[j, j]))
         if _told(shift, std, prior):
             described = getattr(problem.joint.sensors, sensor).delay
-            late = max(described + shift, 0.0)  # one that is early is as punctual as can be said
+            late = max(described + shift, 0.0)  # not negative
             found[sensor] = ParameterShift(described, late, std, prior, "s", (late - described) / prior)
     return found
 
@@ -72,11 +72,11 @@ _PLACES = {
     "arm_load": ("link_tolerances", "arm"),
     "gravity_angle": ("gravity_angle",),
 }
-"""Where in a joint's description the numbers stand that are not in `numbers`."""
+"""Path in a joint's description of numbers outside `numbers`."""
 
 
 def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
-    """The joint with the numbers of a fit, their nominal values and standard deviations kept beside them; of those that it held
+    """Return the joint with the numbers of a fit, their nominal values and standard deviations; of those that it held
     as they were described."""
     c = problem.calibration
     x, covariance = at.theta[: c.size], at.covariance[: c.size, : c.size]

@@ -28,7 +28,7 @@ from .fit.regions import NormalEquations, region_masks
 ESTIMATORS = ("EKF", "AREKF", "RAREKF", "current", "payload_smoothed")
 """By their names in the registry; of the first and of the last kind there is one for every recording that has a current."""
 MAIN = ("RAREKF", "current", "payload_smoothed")
-"""The first of these that a measurement allows is the one that stands for all."""
+"""The first available one of these represents all."""
 WORSE = 1.05
 """Ratio of an estimator's errors from which on a joint serves worse than another."""
 TRUTHS = {"joint_torque": "the torque sensor", "external_torque": "the external torque that was measured"}
@@ -61,10 +61,10 @@ class Improvement:
 
     Attributes:
       quantity: what is estimated and was measured too, one of `TRUTHS`.
-      main: the estimator that stands for all.
+      main: the representative estimator.
       errors: estimator → (before, after), RMS [N·m] over the held-out blocks.
       regions: of the main estimator, the one where it gains least first.
-      noise: of what it is held against [N·m rms]: what remains of a perfect estimate; 0 where it is not stated.
+      noise: of the reference [N·m rms], the error of a perfect estimate; 0 if unknown.
       known_before: what the estimators knew before, for people.
       traces: of the main estimator, by recording.
     """
@@ -224,8 +224,8 @@ def _in_regions(diagnosis: Diagnosis, pairs: Sequence[_Pair], quantity: str, nam
     """Errors of an estimator in every region: before, and with the extended joint as a fit without the region has it."""
     problem, final, whole = diagnosis.problem, diagnosis.final, diagnosis.whole
     assert problem is not None and final is not None and whole is not None
-    told = {r.name for r in diagnosis.regions}
-    masks = {region: m for region, m in region_masks(problem).items() if region in told}
+    reported = {r.name for r in diagnosis.regions}
+    masks = {region: m for region, m in region_masks(problem).items() if region in reported}
     system = NormalEquations(problem, whole)
     where = {region: [_samples(problem.segments, m, i, r) for i, r, *_ in pairs] for region, m in masks.items()}
 

@@ -1,14 +1,13 @@
-"""What to measure next: how much each possible experiment would tell about what a measurement left open.
+"""Plan the next measurement: the expected information of possible experiments about open questions.
 
-Every experiment is carried out by the plant of the *extended* joint under the drive's controller, and read by the sensors that
-the measurement had, or by one more. The Fisher information of the simulated recording, under its sensors' noise and the model
-discrepancy that the diagnosis learned, is added to that of the measurement:
+Every experiment is simulated with the *extended* joint, the drive's controller, and the sensors of the measurement or one more.
+Its Fisher information, under the sensors' noise and the learned model discrepancy, is added to that of the measurement:
 
     I = Σ Jᵀ W J + prior,    I_a = I_aa − I_an I_nn⁻¹ I_na
 
-with a the question's own coordinates and n all calibration variables and effects, which answer. What is told of a question is a
-number of standard deviations: by which a cause of ordinary size would show (√ of the mean of I_a's diagonal), by which one of
-two causes of ordinary size would differ from what the other can imitate, in which the size of an effect or number is measured.
+with a the question's coordinates and n all calibration variables and effects. The strength of an answer is in standard
+deviations: of a cause of ordinary size (√ of the mean of I_a's diagonal), of the difference between two causes of ordinary size,
+or of the size of an effect or number.
 """
 
 from __future__ import annotations
@@ -45,33 +44,32 @@ from .trials.motions import CONTROLLER, record_motion, waypoints
 if TYPE_CHECKING:
     from .answer import Diagnosis
 
-_TIMESTEP = 5e-4  # s, of the plant: what a motion would tell is known well enough with it
+_TIMESTEP = 5e-4  # s, of the plant; accurate enough for planning
 _RESOLVED = 0.3  # rad of the resonance in a step: with a lighter link the plant's usual step is taken
 _SOFT = 4.0  # turns of a soft drive's command per turn of the rotor that it makes
-_THIN = 8e-3  # s between samples that tell where a motion has been
+_THIN = 8e-3  # s between samples that summarise a motion
 _ABOUT = 0.25  # of half the range that was visited: motions are about zero where its middle is so near
 _FREE = 0.1  # rad beyond what was visited that a motion may go without a question
 _NUMBERS = ("Kt", "K1", "K2", "K3", "Fc", "Fs", "bw", "Jm", "Jl", "Mg")
-"""Numbers of a joint that are worth an experiment."""
+"""Numbers of a joint that experiments may target."""
 
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """How experiments are weighed.
+    """Weights and limits of experiments.
 
     Attributes:
-      shows, apart, known: standard deviations from which on a cause would show and two causes are told apart (their squares are
-        `identifiability.SHOWS` and `ALIKE`), a size is known.
-      wide, sharp: a number of the joint is in question where it is known no better than this share of its tolerance and no better
-        than to so many standard deviations; widest: of these, so many.
-      sharper: how many times as well as now it is known after an experiment that is worth it.
-      least: part of the way to an answer that an experiment must go on some question to be proposed.
-      variants: hypotheses by which a cause of many orders or starts is represented.
-      range, load: largest angle [rad], and torque as a share of the rated one, that experiments ask for.
-      heaviest: share of the rated torque that a payload may ask for, held level.
-      speed: share of the motor's speed without load that they do.
-      size, number: what the size of an effect that was found is worth, and that of a number, where whether a cause is there is 1.
-      effort: what an experiment must answer, in questions, to be worth a load, a clamp, a further sensor.
+      shows, apart, known: standard deviations at which a cause is detected, two causes are distinguished (their squares are
+        `identifiability.SHOWS` and `ALIKE`), and a size is known.
+      wide, sharp: a number is in question above this share of its tolerance, and below this z-score; widest: number of these.
+      sharper: least improvement of a number in question.
+      least: least progress on some question of a proposed experiment.
+      variants: hypotheses that represent a cause with many orders or starts.
+      range, load: largest angle [rad], and torque over the rated torque, of experiments.
+      heaviest: largest gravity torque with a payload over the rated torque.
+      speed: largest speed over the motor's no-load speed.
+      size, number: weight of the size of an effect, and of a number; the presence of a cause has weight 1.
+      effort: cost of a load, a clamp and a further sensor, in questions.
       warming: of the gear, where its temperature is read [K].
     """
 
@@ -94,7 +92,7 @@ class PlanSettings:
     warming: float = 10.0
 
     def weight(self, q: Question) -> float:
-        """What an answer is worth, in questions."""
+        """Return the weight of an answer, in questions."""
         return self.number if q.of_number else self.size if q.parameter else 1.0
 
 
@@ -103,13 +101,13 @@ SETTINGS = PlanSettings()
 
 @dataclass(frozen=True)
 class Question:
-    """What the measurement left open: whether a cause is there, which of two, or how large something is.
+    """An open question: whether a cause is present, which of two it is, or how large something is.
 
     Attributes:
       names: one cause, a pair, or a number of the joint.
-      now: standard deviations by which the measurement answers it.
-      needed: from which on it is answered.
-      parameter: of the cause, where its size is in question; `value` of a number.
+      now: strength of the measurement's answer, in standard deviations.
+      needed: strength at which it is answered.
+      parameter: of the cause, if its size is in question; `value` of a number.
     """
 
     names: tuple[str, ...]
@@ -119,22 +117,22 @@ class Question:
 
     @property
     def of_number(self) -> bool:
-        """Whether it is about a number of the joint; some causes have a parameter of that name, too."""
+        """Whether it is about a number of the joint."""
         return self.names[0] in _NUMBERS
 
     @property
     def subject(self) -> str:
-        """What it is about, for people."""
+        """Subject as text."""
         plain = " and ".join(n.replace("_", " ") for n in self.names)
         return plain if self.parameter in ("", "value") else f"{plain}'s {self.parameter.replace('_', ' ')}"
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Question as text."""
         return f"how large {self.subject} is" if self.parameter else self.subject.replace(" and ", " or ")
 
     def answer(self, expected: float, brief: bool = False) -> str:
-        """What an experiment would tell about it, for people, without the verb of its kind; `brief`: without the unit."""
+        """Return the expected answer as text, without `verb`; `brief`: without the unit."""
         if self.parameter:
             return f"{self.subject} to ±{_percent(expected)} (now ±{_percent(self.now)})"
         link = "apart by" if len(self.names) > 1 else "by"
@@ -143,7 +141,7 @@ class Question:
 
     @property
     def verb(self) -> str:
-        """What is done with it when it is answered, for people."""
+        """Verb of the expected answer."""
         return "would know" if self.parameter else "would tell" if len(self.names) > 1 else "would show"
 
 
@@ -157,13 +155,13 @@ def _percent(z: float) -> str:
 
 @dataclass(frozen=True)
 class Proposal:
-    """An experiment, and what it and the measurement together would say of each question.
+    """An experiment and its expected answers together with the measurement.
 
     Attributes:
-      name: of the experiment; description: what to do, for people.
+      name: of the experiment; description: instructions.
       duration: [s].
       expected: standard deviations, shape (questions,).
-      score: questions answered, in parts, less the effort.
+      score: weighted progress on the questions, minus the effort.
     """
 
     name: str
@@ -175,7 +173,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Plan:
-    """Open questions, and experiments, the one that answers most first."""
+    """Open questions, and experiments, the best first."""
 
     questions: tuple[Question, ...] = ()
     proposals: tuple[Proposal, ...] = ()
@@ -185,17 +183,17 @@ class Plan:
         return [q for q, e in zip(self.questions, proposal.expected, strict=True) if e >= q.needed]
 
     def sentence(self, proposal: Proposal, most: int = 5) -> str:
-        """What to do and what it would tell, of at most so many questions, those first that it brings furthest."""
+        """Return the instructions and the expected answers to at most `most` questions."""
         gains = [
             (_progress(q, e), q, e)
             for q, e in zip(self.questions, proposal.expected, strict=True)
             if _progress(q, e) > SETTINGS.least
         ]
         gains.sort(key=lambda g: -g[0])
-        told: dict[str, list[str]] = {}
+        by_verb: dict[str, list[str]] = {}
         for _, q, e in gains[:most]:
-            told.setdefault(q.verb, []).append(q.answer(e, bool(told.get(q.verb)) and not q.parameter))
-        parts = [f"{verb} {', '.join(answers)}" for verb, answers in told.items()]
+            by_verb.setdefault(q.verb, []).append(q.answer(e, bool(by_verb.get(q.verb)) and not q.parameter))
+        parts = [f"{verb} {', '.join(answers)}" for verb, answers in by_verb.items()]
         more = f", and {len(gains) - most} more" if len(gains) > most else ""
         return f"{proposal.description} ({proposal.duration:.0f} s): {'; '.join(parts)}{more}."
 
@@ -210,11 +208,11 @@ class Plan:
 
     def _repr_html_(self) -> str:
         return paragraph("What to measure next") + (
-            listing(self.sentences()) or paragraph("", "nothing would tell more")
+            listing(self.sentences()) or paragraph("", "no experiment adds information")
         )
 
     def to_json(self) -> list[dict[str, Any]]:
-        """What `diagnosis.json` holds as `next`."""
+        """Return `next` of `diagnosis.json`."""
         return [
             {
                 "experiment": p.name,
@@ -235,22 +233,22 @@ class Plan:
         ]  # fmt: skip
 
 
-def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS) -> Plan:
-    """Open questions of a diagnosis, and what each experiment would tell about them.
+def plan(measurement: Measurement, diagnosis: Diagnosis) -> Plan:
+    """Plan experiments for the open questions of a diagnosis.
 
     Args:
       measurement: that was diagnosed.
-      diagnosis: what came out; without anything computed (mistakes in the data) nothing is planned.
+      diagnosis: the result; if it stopped at mistakes in the data, the plan is empty.
 
     Returns:
-      Experiments that bring some question on, the one that is worth most first.
+      Useful experiments, the best first.
     """
     if diagnosis.problem is None or diagnosis.final is None:
         return Plan()
     problem, at = diagnosis.problem, _without_splines(diagnosis.problem, diagnosis.final)
     joint = problem.joint  # with sensors as coarse and as slow as they were logged
-    asked = [*_asked(measurement, diagnosis, joint, settings), *_numbers(problem, at, settings)]
-    tried = _representatives(joint, at, problem, asked, settings)
+    asked = [*_asked(measurement, diagnosis, joint), *_numbers(problem, at)]
+    tried = _representatives(joint, at, problem, asked)
     thin = tuple(_thin(r) for r in measurement.recordings)
     missing = coverage.undetermined(replace(measurement, recordings=thin), joint)
     state = _State(problem, at, tried)
@@ -263,7 +261,7 @@ def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings 
         try:
             recording = perform(e, diagnosis.extended, joint)
         except InputError:
-            return None  # an extended joint under which no motion is stable
+            return None  # unstable motion of the extended joint
         new = Problem(*segments([recording], joint), joint)
         if not new.segments:
             return None
@@ -276,58 +274,55 @@ def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings 
             for q in questions
         )
         progress = [_progress(q, z) for q, z in zip(questions, expected, strict=True)]
-        if max(progress) < settings.least:
+        if max(progress) < SETTINGS.least:
             return None
-        worth = sum(
-            settings.weight(q) * 0.5 * (part + (z >= q.needed))
+        weighted = sum(
+            SETTINGS.weight(q) * 0.5 * (part + (z >= q.needed))
             for q, z, part in zip(questions, expected, progress, strict=True)
         )
-        score = worth - settings.effort[0] * e.duration / 30.0 - e.effort
+        score = weighted - SETTINGS.effort[0] * e.duration / 30.0 - e.effort
         return Proposal(e.name, e.description, e.duration, expected, round(score, 3)) if score > 0 else None
 
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
-        proposals = [p for p in pool.map(judged, experiments(measurement, joint, diagnosis, settings)) if p is not None]
+        proposals = [p for p in pool.map(judged, experiments(measurement, joint, diagnosis)) if p is not None]
     return Plan(questions, tuple(sorted(proposals, key=lambda p: -p.score)))
 
 
 def _thin(recording: Recording) -> Recording:
-    """A recording with as few samples as it takes to see where it has been, and how fast."""
+    """Return a recording with the samples that its range and speed need."""
     every = max(min(int(_THIN / recording.interval), len(recording.time) // 2), 1)
     return recording.at(slice(None, None, every))
 
 
 def _progress(q: Question, expected: float) -> float:
-    """Part of the way from nothing to an answer that an experiment adds."""
+    """Return the part of the needed strength that an experiment adds."""
     return (min(expected, q.needed) - q.now) / q.needed
 
 
 # --- the questions ---------------------------------------------------------------------------------------------------
 
 
-def _read(column: str, measurement: Measurement) -> bool:
-    return any(column in r for r in measurement.recordings)
-
-
-def _asked(measurement: Measurement, diagnosis: Diagnosis, joint: Joint, settings: PlanSettings) -> Iterator[Question]:
-    """What is open, before it is known how open."""
+def _asked(measurement: Measurement, diagnosis: Diagnosis, joint: Joint) -> Iterator[Question]:
+    """Yield open questions; those without a parameter get their strength later."""
     known = set(causes.of(joint))
-    # Where a sensor is not there, nothing about its errors is open.
-    absent = {n for n in known if (sensor := causes.get(n).sensor) and not _read(sensor, measurement)}
+    # Errors of missing sensors are not in question.
+    read = {column for r in measurement.recordings for column in r.columns}
+    absent = {n for n in known if (sensor := causes.get(n).sensor) and sensor not in read}
     open_ = [n for n in diagnosis.undetermined if n in known - absent]
-    yield from (Question((n,), 0.0, settings.shows) for n in open_)
-    yield from (Question(pair, 0.0, settings.apart) for pair in diagnosis.confusable if set(pair) <= known)
+    yield from (Question((n,), 0.0, SETTINGS.shows) for n in open_)
+    yield from (Question(pair, 0.0, SETTINGS.apart) for pair in diagnosis.confusable if set(pair) <= known)
     for finding in diagnosis.causes:
         if finding.name not in known:
             continue
         neutral = causes.get(finding.name).present(joint.record()[0])
         for q in causes.get(finding.name).parameters:
             p = finding.parameters[q.name]
-            if q.magnitude and p.std > 0 and abs(p.value - neutral[q.name]) < settings.known * p.std:
-                yield Question((finding.name,), abs(p.value - neutral[q.name]) / p.std, settings.known, q.name)
+            if q.magnitude and p.std > 0 and abs(p.value - neutral[q.name]) < SETTINGS.known * p.std:
+                yield Question((finding.name,), abs(p.value - neutral[q.name]) / p.std, SETTINGS.known, q.name)
 
 
-def _numbers(problem: Problem, at: Fit, settings: PlanSettings) -> list[Question]:
-    """The numbers that are known little better than the description states them, the widest."""
+def _numbers(problem: Problem, at: Fit) -> list[Question]:
+    """Return questions on the numbers that the measurement hardly improved, the least known first."""
     c = problem.calibration
     found = []
     for slot in c.slots:
@@ -337,13 +332,13 @@ def _numbers(problem: Problem, at: Fit, settings: PlanSettings) -> list[Question
         stated = float(np.linalg.norm(slope))
         std = float(np.sqrt(max(slope @ at.covariance[: c.size, : c.size] @ slope, 0.0)))
         z = abs(c.value(slot, at.theta[: c.size])) / max(std, 1e-300)
-        if std > settings.wide * stated and z < settings.sharp:
-            found.append(Question((slot.name,), z, settings.sharper * z, "value"))
-    return sorted(found, key=lambda q: q.now)[: settings.widest]
+        if std > SETTINGS.wide * stated and z < SETTINGS.sharp:
+            found.append(Question((slot.name,), z, SETTINGS.sharper * z, "value"))
+    return sorted(found, key=lambda q: q.now)[: SETTINGS.widest]
 
 
 def _slope(problem: Problem, at: Fit, name: str) -> np.ndarray:
-    """Derivative of a number of the joint in the calibration variables, shape (n,)."""
+    """Return the derivative of a number in the calibration variables, shape (n,)."""
     c, step = problem.calibration, 1e-3
     slot = next(s for s in c.slots if s.name == name)
     x = at.theta[: c.size]
@@ -351,7 +346,7 @@ def _slope(problem: Problem, at: Fit, name: str) -> np.ndarray:
 
 
 def _without_splines(problem: Problem, f: Fit) -> Fit:
-    """The fit without effects that have no name, which stand last."""
+    """Return the fit without unknown effects."""
     named = [i for i, h in enumerate(f.model) if isinstance(h, Hypothesis)]
     if len(named) == len(f.model):
         return f
@@ -370,31 +365,29 @@ def _without_splines(problem: Problem, f: Fit) -> Fit:
     )
 
 
-def _representatives(
-    joint: Joint, at: Fit, problem: Problem, asked: Sequence[Question], settings: PlanSettings
-) -> list[Hypothesis]:
-    """Hypotheses of the causes that are asked for and not in the model."""
+def _representatives(joint: Joint, at: Fit, problem: Problem, asked: Sequence[Question]) -> list[Hypothesis]:
+    """Return hypotheses of the causes in question that are not in the model."""
     there = {h.cause.name for h in at.model}
     present = {effect.name: effect.values for effect in joint.effects}
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     found: list[Hypothesis] = []
     for name in dict.fromkeys(n for q in asked for n in q.names if n not in there and not q.of_number):
         every = hypotheses(causes.get(name), record, present.get(name))
-        chosen = np.unique(np.linspace(0, len(every) - 1, min(settings.variants, len(every))).astype(int))
+        chosen = np.unique(np.linspace(0, len(every) - 1, min(SETTINGS.variants, len(every))).astype(int))
         found += [every[i] for i in chosen]
     return found
 
 
 def _shown(measurement: Measurement, tried: Sequence[Hypothesis]) -> set[str]:
-    """Causes that the channels of a measurement can show."""
+    """Return the causes that the channels of a measurement can show."""
     both = any(all(name in r for name in POSITIONS) for r in measurement.recordings)
     return {h.cause.name for h in tried if coverage.can_show(h.cause.name, measurement, both)}
 
 
 class _State:
-    """Where everything is linearised: a fit, and hypotheses that are not in its model.
+    """Linearisation at a fit, extended by hypotheses that are not in its model.
 
-    The columns of its information: the fit's unknowns, then the magnitudes of every hypothesis.
+    Columns of the information: the fit's unknowns, then the magnitudes of every hypothesis.
     """
 
     def __init__(self, problem: Problem, at: Fit, tried: list[Hypothesis]):
@@ -417,7 +410,7 @@ class _State:
             self.columns += len(block)
 
     def information(self, problem: Problem, noise: Noise, jacobian: Columns, shown: set[str]) -> np.ndarray:
-        """Fisher information of a problem's data, shape (columns, columns); none about causes that are not `shown`."""
+        """Return the Fisher information of data, shape (columns, columns); zero for causes that are not `shown`."""
         tried = [i for i, h in enumerate(self.tried) if h.cause.name in shown]
         library = Library.at(problem, self.at, [self.tried[i] for i in tried])
         X = whiten(problem.segments, noise, jacobian, *([library.whole] if tried else [])).rows
@@ -429,18 +422,16 @@ class _State:
         return found
 
     def question(self, asked: Question, known: np.ndarray, missing: dict[str, str]) -> Question:
-        """The question with how far the measurement has answered it."""
+        """Return the question with the strength of the measurement's answer."""
         if asked.parameter:
             return asked
         now = self.strength(asked, known, known)
         if set(missing).intersection(asked.names):
-            now = min(
-                now, 0.9 * asked.needed
-            )  # its motion or its channels cannot show it, whatever the linear model says
+            now = min(now, 0.9 * asked.needed)  # the motion or the channels cannot show it
         return replace(asked, now=now)
 
     def strength(self, q: Question, information: np.ndarray, before: np.ndarray) -> float:
-        """Standard deviations by which a question is answered under some information; `before`: of the measurement alone."""
+        """Return the strength of an answer with some information; `before`: of the measurement alone."""
         if q.of_number:
             slope = _slope(self.problem, self.at, q.names[0])
             then, first = (float(slope @ self._covariance(one) @ slope) for one in (information, before))
@@ -465,7 +456,7 @@ class _State:
     def _left(
         self, information: np.ndarray, answering: np.ndarray, own: list[list[np.ndarray]]
     ) -> tuple[np.ndarray, list[list[slice]]]:
-        """What is left of the information about some columns once the others have answered, and where each block stands in it."""
+        """Return the Schur complement of some columns after `answering` ones, and the place of each block in it."""
         places: list[list[slice]] = []
         position = 0
         for group in own:
@@ -480,22 +471,22 @@ class _State:
         return left, places
 
     def _spread_of(self, index: int, information: np.ndarray) -> np.ndarray:
-        """Standard deviations of the magnitudes of an effect of the model, shape (m,)."""
+        """Return standard deviations of an effect's magnitudes, shape (m,)."""
         n = self.size
         covariance = np.linalg.inv(information[:n, :n] + np.diag(self.precision))
         where = self.model_blocks[index][self.at.model[index].magnitudes]
         return np.sqrt(np.maximum(np.diag(covariance)[where], 0.0))
 
     def _covariance(self, information: np.ndarray) -> np.ndarray:
-        """Covariance of the calibration variables, shape (n, n)."""
+        """Return the covariance of the calibration variables, shape (n, n)."""
         n, m = self.size, self.problem.calibration.size
         return np.linalg.inv(information[:n, :n] + np.diag(self.precision))[:m, :m]
 
 
 def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
-    """Noise of a recording that is not measured yet: its own sensors', and the model discrepancy that was learned.
+    """Return the expected noise of a simulated recording: sensor noise and the learned model discrepancy.
 
-    Of a balance that the measurement did not have, the discrepancy is the largest of the others', as a torque at the output.
+    A new balance gets the largest discrepancy of the others, as a torque at the output.
     """
     point = evaluate_point(new, at.theta, at.model)
     formed = np.any([s.balances for s in old.segments], axis=0)
@@ -515,17 +506,17 @@ def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
 
 @dataclass(frozen=True)
 class PlannedExperiment:
-    """Something that can be measured next.
+    """An experiment.
 
     Attributes:
-      name, description: of it, for people.
+      name, description: name and instructions.
       mounting: of the link.
-      motion: waypoints of the link (of the rotor over the gear ratio, where the output is locked).
+      motion: waypoints of the link; with a locked output, of the rotor over the gear ratio.
       channels: columns that are recorded.
       interval: between samples [s].
-      effort: beside its time, in questions that it must answer.
+      effort: in addition to time, in questions.
       locked: whether the output is bolted to the bench; controller: of the drive.
-      warming: of the gear meanwhile [K].
+      warming: of the gear [K].
     """
 
     name: str
@@ -546,11 +537,11 @@ class PlannedExperiment:
 
 
 def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1) -> Recording:
-    """The recording that an experiment on a joint would give.
+    """Simulate an experiment on a joint.
 
     Args:
-      joint: its true numbers, sensors and effects.
-      described: what is known of it: the drive's torque constant is this one's.
+      joint: with its assumed numbers, sensors and effects.
+      described: description with the drive's torque constant.
       seed: of the sensors' noise.
     """
     record = joint.record(e.mounting)
@@ -576,10 +567,8 @@ def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1)
     return whole.at(slice(None, None, every)) if every > 1 else whole
 
 
-def experiments(
-    measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS
-) -> list[PlannedExperiment]:
-    """What could be measured next with the sensors there are or one more: motions, loads, a locked output, sensors."""
+def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> list[PlannedExperiment]:
+    """Return possible experiments: motions, loads, a locked output, one more sensor."""
     p = diagnosis.extended.record()[0]
     recordings = measurement.recordings
     movable = [r.link for r in recordings if not r.link.locked] or [joint.mount()]
@@ -593,9 +582,9 @@ def experiments(
     low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
     half = 0.5 * (high - low)
     centre = 0.0 if abs(low + half) < _ABOUT * half else low + half
-    reach = float(np.clip(half, 0.4, settings.range))
+    reach = float(np.clip(half, 0.4, SETTINGS.range))
     steepest = float(np.max(np.abs(np.sin(np.linspace(centre - reach, centre + reach, 50) + link.gravity_angle))))
-    effort = settings.effort
+    effort = SETTINGS.effort
     found: list[PlannedExperiment] = []
 
     def add(name: str, text: str, points: Sequence[Waypoint], mounting: Mounting = link, **options: Any) -> None:
@@ -603,7 +592,7 @@ def experiments(
         if not mounting.locked:
             points = [w.model_copy(update={"position": w.position + centre}) for w in points]
             if any(not low - _FREE <= w.position <= high + _FREE for w in points):
-                text += f"; nobody has measured beyond {_angle(low)} … {_angle(high)} rad: is it free there?"
+                text += f"; the measurement covers {_angle(low)} … {_angle(high)} rad: check for collisions beyond"
         found.append(PlannedExperiment(name, text, mounting, tuple(points), interval=interval, **options))
 
     def span(amplitude: float) -> str:
@@ -616,9 +605,9 @@ def experiments(
         return waypoints(there_and_back, [0.6 * seconds, seconds, seconds, 0.6 * seconds], [0.4] * 4, 0.4)
 
     def shortest(way: float) -> float:
-        """Time [s] of one way [rad], as fast as motor and rated torque allow anywhere within reach."""
-        speed = settings.speed * p["supply_voltage"] / (p["Kt"] * N)
-        left = max(settings.load * rated - link.gravity_moment * steepest, 0.2 * rated)
+        """Return the shortest time [s] of a move [rad] that motor and rated torque allow."""
+        speed = SETTINGS.speed * p["supply_voltage"] / (p["Kt"] * N)
+        left = max(SETTINGS.load * rated - link.gravity_moment * steepest, 0.2 * rated)
         motor = 0.4 * p["Kt"] * p["current_limit"] / ((p["Jm"] + p["Jw"]) * N)
         return max(1.875 * way / speed, float(np.sqrt(5.78 * way / min(left / link.inertia, motor))), 0.5)
 
@@ -639,10 +628,10 @@ def experiments(
     up = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
     add("rest_poses", f"Hold still at seven angles within {span(reach)}, each reached from both sides", up)
     wide = min(1.4 * reach, 2.4)
-    if wide > 1.2 * reach or reach < settings.range:
+    if wide > 1.2 * reach or reach < SETTINGS.range:
         add("larger_range", f"Move the link as far as {span(wide)} and back, 8 s each way", sweeps(wide, 8.0))
     arm = 0.3
-    extra = min(0.25 * rated, settings.heaviest * rated - link.gravity_moment)
+    extra = min(0.25 * rated, SETTINGS.heaviest * rated - link.gravity_moment)
     if extra > 0.05 * rated:
         mass = float(f"{extra / (GRAVITY * arm):.1g}")
         loaded = Mounting(
@@ -667,7 +656,7 @@ def experiments(
             usual, lightest, effort=effort[0],
         )  # fmt: skip
     if "motor_position" in seen:
-        torque = settings.load * rated
+        torque = SETTINGS.load * rated
         winding, soft = _locked(p, torque)
         add(
             "locked_output",
@@ -686,8 +675,8 @@ def experiments(
     if "temperature" not in seen:
         add(
             "with_temperature",
-            f"Record the gear's temperature (column temperature) from cold until {settings.warming:g} K warmer, and {motion}",
-            usual, effort=effort[2], channels=seen | {"temperature"}, warming=settings.warming,
+            f"Record the gear's temperature (column temperature) from cold until {SETTINGS.warming:g} K warmer, and {motion}",
+            usual, effort=effort[2], channels=seen | {"temperature"}, warming=SETTINGS.warming,
         )  # fmt: skip
     return found
 
@@ -701,7 +690,7 @@ def _later(points: Sequence[Waypoint], seconds: float) -> list[Waypoint]:
 
 
 def _reversals(centres: Sequence[float], width: float, speed: float) -> list[Waypoint]:
-    """Back and forth by a small way at constant speed about each of some angles."""
+    """Return small strokes at constant speed about each centre."""
     points, t = [Waypoint(time=0.4, position=0.0)], 0.4
     for centre in centres:
         t += 2.5
@@ -714,8 +703,10 @@ def _reversals(centres: Sequence[float], width: float, speed: float) -> list[Way
 
 
 def _locked(p: np.void, torque: float) -> tuple[list[Waypoint], Controller]:
-    """Waypoints of the rotor over the gear ratio, and the drive, that wind a locked output up to ±`torque` [N·m] and to less,
-    quickly and slowly. The drive is so soft that its current, not the rotor's angle, follows the command."""
+    """Return waypoints of the rotor over the gear ratio, and a soft drive, for a locked output up to ±`torque` [N·m].
+
+    With a soft drive the current follows the command, not the rotor's angle.
+    """
     on_rotor = torque / p["N"] + p["Fc"]
     wound = float(laws.flexspline_torsion(torque, p) * p["N"] + laws.wave_generator_torsion(on_rotor, p))
     reach = (1 + _SOFT) * wound / p["N"]

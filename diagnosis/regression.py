@@ -1,15 +1,15 @@
-"""What a plain regression says: the least squares of a torque channel on the measured motion that any user would do by hand.
+"""Plain regression of a torque channel on the measured motion by linear least squares.
 
-In motion the current of a joint (or the torque of its motor, or of a sensor at its output) is a sum of known shapes:
+In motion, a joint's current (or the torque of its motor or of an output sensor) is a sum of known shapes:
 
     gravity, gravity across, inertia, Coulomb friction, viscous friction, friction that grows with load, offset
 
-each with one coefficient. In an arm whose other joints move, gravity and inertia are the arm's inverse dynamics. Where a torque
-sensor was read, the current is that of the sensor's torque, whose coefficient is the torque constant. Velocity and acceleration
-come from the position by the smoother that all of a diagnosis uses.
+each with one coefficient. In a moving arm, gravity and inertia are replaced by the arm's inverse dynamics. With a torque sensor,
+the load is the sensor's torque, and its coefficient gives the torque constant. The smoother of a diagnosis differentiates the
+position.
 
-The regression knows neither compliance nor tolerances. It is the starting point of a diagnosis with one encoder, and the bar:
-a joint that predicts held-out data worse than it is not written.
+The regression ignores compliance and tolerances. It is the starting point of a diagnosis with one encoder, and its baseline: a
+joint that predicts held-out data worse is not written.
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ from ..models.joint_parts import Mounting
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS, DRIVING
 from .data.segments import ENOUGH, in_held_out_block
+from .data.stretches import most_telling
 
 MOVING = 0.05
-"""Share of the usual largest speed (98 % of the samples are slower) below which a sample is at rest: there friction may be
-anything up to its level."""
+"""Share of the 98 % quantile of speed below which a sample is at rest, where friction is unknown up to its level."""
+LONGEST = 300.0
+"""Seconds of a measurement that a regression uses, the most informative ones."""
 _STEP = 2e-3  # s: of the smoother's grid
 _EDGE = 0.1  # s: at both ends of a part, where the smoother settles
 _FEWEST = 20  # samples in motion for each coefficient
@@ -46,9 +48,9 @@ class Coefficient:
     Attributes:
       name: of the shape: `gravity`, `inertia`, `Coulomb friction`, …
       value, std: in the channel's unit over the shape's.
-      means: what it says of the joint: a symbol or a name of a cause's parameter; empty where it is none.
-      number, number_std: that number, in `unit`; described, tolerance: what the description has, and the standard deviation that
-        it leaves open; NaN where the coefficient says nothing of the joint.
+      means: number of the joint, as a symbol or the name of a cause's parameter; may be empty.
+      number, number_std: that number, in `unit`; described, tolerance: value and standard deviation of the description; NaN
+        without a number.
     """
 
     name: str
@@ -63,8 +65,7 @@ class Coefficient:
 
     @property
     def beyond(self) -> float:
-        """By how many standard deviations, of tolerance and regression together, the number differs from the description; 0 where
-        the coefficient says nothing of the joint."""
+        """Z-score of the number against the description, with tolerance and regression's deviation; 0 without a number."""
         spread = float(np.hypot(self.tolerance, self.number_std))
         return abs(self.number - self.described) / max(spread, 1e-300) if self.means else 0.0
 
@@ -85,12 +86,12 @@ class Regression:
 
     Attributes:
       channel: `motor_current`, `motor_torque` or `joint_torque`; unit: its unit.
-      coefficients: of every shape that the motion tells from the others.
-      rms: of what is left in motion; held_out: the same on blocks of time that were kept from a fit of its own; NaN where the
-        recordings are too short for that. spread: standard deviation of the channel in motion. All in `unit`.
+      coefficients: of every identifiable shape.
+      rms: of the residual in motion; held_out: the same on held-out blocks of a separate fit, NaN for short recordings; spread:
+        standard deviation of the channel in motion. All in `unit`.
       samples: in motion.
       passband: of the smoother [Hz], the lowest of all recordings.
-      left_out: shapes that this motion does not tell from others.
+      left_out: shapes that are confounded with others in this motion.
     """
 
     channel: str
@@ -105,7 +106,7 @@ class Regression:
 
     @property
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """For people: shape, its coefficient, what that says of the joint, and what the description has."""
+        """Rows of text: shape, coefficient, its meaning for the joint, described value."""
         return [
             (
                 c.name,
@@ -120,10 +121,10 @@ class Regression:
 
     @property
     def title(self) -> str:
-        """For people: what it leaves of which channel."""
+        """Channel and residual, as text."""
         unseen = f", {self.held_out:.3g} on held-out blocks" if np.isfinite(self.held_out) else ""
         return (
-            f"{self.channel.replace('_', ' ')}: {self.rms:.3g} {self.unit} RMS of {self.spread:.3g} is left in motion{unseen}; "
+            f"{self.channel.replace('_', ' ')}: {self.rms:.3g} {self.unit} RMS residual of {self.spread:.3g} in motion{unseen}; "
             f"motion smoothed at {self.passband:.3g} Hz"
         )
 
@@ -144,22 +145,33 @@ class Regression:
         }  # fmt: skip
 
 
-def regressions(measurement: Measurement, joint: Joint) -> tuple[Regression, ...]:
-    """The regression of every torque channel that a measurement has.
+def regressions(
+    measurement: Measurement, joint: Joint, conditioned: Sequence[Conditioned] | None = None
+) -> tuple[Regression, ...]:
+    """Fit the regression of every torque channel that a measurement has.
 
     Args:
       measurement: recordings of the joint; pushes of unknown size are not modelled, recordings that have them are left out.
       joint: its description.
+      conditioned: the recordings of the measurement, if they are conditioned already.
 
     Returns:
-      One regression a channel; none of a channel with too little motion.
+      One regression per channel; none for a channel with too little motion.
     """
-    quiet = [r for r in measurement.recordings if r.external != "unmeasured" and not r.link.locked]
-    conditioned = [condition(r, joint) for r in quiet]
+    part = most_telling(measurement, LONGEST)
+    if part is not measurement:
+        measurement, conditioned = part, None
+    every = conditioned or [condition(r, joint) for r in measurement.recordings]
+    pairs = [
+        (r, c)
+        for r, c in zip(measurement.recordings, every, strict=True)
+        if r.external != "unmeasured" and not r.link.locked
+    ]
+    quiet, used = [r for r, _ in pairs], [c for _, c in pairs]
     channels = [name for name in DRIVING if any(name in r for r in quiet)]
     if "motor_current" in channels and "motor_torque" in channels:
         channels.remove("motor_torque")
-    return tuple(one for name in channels if (one := _regress(conditioned, joint, name)) is not None)
+    return tuple(one for name in channels if (one := _regress(used, joint, name)) is not None)
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
@@ -279,7 +291,7 @@ _PREFERRED = (
     "sensor torque", "arm", "gravity", "external torque", "inertia", "Coulomb friction", "viscous friction",
     "gravity across", "link inertia", "load friction", "offset",
 )  # fmt: skip
-"""Shapes in the order in which they are kept where a motion does not tell them apart."""
+"""Shapes by precedence, if they are confounded."""
 
 
 def _independent(X: np.ndarray, order: Sequence[int]) -> list[int]:
@@ -321,7 +333,7 @@ def _of_joint(
 
     Args:
       link: the mounting of the recording.
-      alone: whether the link's own inertia is in a shape of its own, so that `inertia` is the rotor's alone.
+      alone: whether another shape has the link's inertia, so that `inertia` is the rotor's alone.
     """
     calibration = Calibration(joint)
     records = [

@@ -1,8 +1,8 @@
 """How well a diagnosis knows the joint that it has found, for the joint's description (`models.joint.Uncertainty`).
 
 The covariance of the fit's unknowns becomes that of the description's numbers, effects and discrepancies, by their derivatives.
-What the description could not hold, the model discrepancy that was learned beside them, goes with it as an rms a balance; how it
-grows beyond the data, the ends of their ranges say, each kept from a fit of its own (`fit.regions`).
+It includes the learned model discrepancy, as an rms per balance. Its growth beyond the data is measured at the ends of their
+ranges, each held out from a separate fit (`fit.regions`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
 
     Args:
       joint: the extended joint; its last effects and discrepancies are those of the fit's model, in order.
-      regions: of the measurement, each kept from a fit of its own.
+      regions: of the measurement, each held out from a separate fit.
     """
     covariance = larger(*covariances(problem, fit))
     if fit.least_covariance is not None:
@@ -55,7 +55,7 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
     n = len(names)
     factor = np.zeros((n, n))
     factor[:, : lower.shape[1]] = lower * np.sign(np.where(np.diag(lower) == 0, 1.0, np.diag(lower)))
-    # What was learned of discrepancy has neither a mean nor what is slower than seconds: it is never less than what is left.
+    # The learned discrepancy lacks a mean and slow parts: it is at least the residual.
     square = np.sum(fit.noise.discrepancy**2, axis=1)
     square = np.maximum(square, excess_by_balance(problem, fit.point) / problem.output_scale**2)
     if problem.has_torque:  # a torque reading has it, and nothing of the description
@@ -72,7 +72,7 @@ def of_description(problem: Problem, described: Point) -> Uncertainty:
     """How well a description that nothing was added to is known: what it leaves of the data, which its tolerances need not hold.
 
     Args:
-      described: residuals with its numbers as they are.
+      described: residuals with the described numbers.
     """
     before = problem.joint.uncertainty or Uncertainty(names=[], factor=[])
     left = _by_balance(problem, excess_by_balance(problem, described) / problem.output_scale**2)

@@ -1,18 +1,16 @@
-"""How well a joint's description predicts a measurement. Nothing is fitted.
+"""Compare a joint's description with a measurement, without a fit.
 
-The described joint is driven with the measured motion (`fit.replay`); what its sensors should then have read stands beside what
-they read, at the samples of the recording. Of two encoders both ends are driven, for current and torques (the rotor alone for the
-current, where the encoders' zeros are so little known against each other that its band is narrower then); the link encoder's
-reading is simulated with the rotor alone driven, where no push of unknown size moved the link. Errors are taken in motion: at
-rest friction may be anything up to its level.
+The described joint follows the measured motion (`fit.replay`). Its simulated readings are compared with the measured ones at the
+samples of the recording. With two encoders, both ends follow, for current and torques; for the current the rotor alone, if the
+encoder offset is so uncertain that its band is narrower. The link position is simulated with the rotor alone, unless there were
+unmeasured pushes. Errors count in motion: at rest friction is unknown up to its level.
 
-Every simulated channel has a 95 % band, in which the channel without its sensor's noise lies if the description is right about
-itself: the root of the sum of squares of
+Every simulated channel has a 95 % band for the channel without its sensor's noise: the root sum of squares of
 
-* what the description leaves open: changes along its independent directions (`models.uncertainty`),
-* what a diagnosis found that it cannot hold (`Uncertainty.discrepancy`), the more the further beyond the range of validity,
-* what the noise of the measured motion makes of the simulation, from noise replicates; at rest, friction's own level;
-* what of the measured channel is faster than the smoothed motion can say.
+* the description's uncertainty along its independent directions (`models.uncertainty`),
+* the model discrepancy of a diagnosis (`Uncertainty.discrepancy`), which grows beyond the range of validity,
+* the effect of noise of the measured motion, from noise replicates, and friction at rest,
+* the measured channel above the passband of the motion.
 """
 
 from __future__ import annotations
@@ -47,16 +45,16 @@ BINS = 4
 """Regions into which the range of angle, speed and load is cut."""
 FEWEST = 20
 """Samples in motion that a region must have."""
-_AROUND = 500  # steps, half a second, over which the noise of the motion is averaged
-_LOOSE = 0.05  # rated torques that the encoders' zeros may be worth before the rotor alone is tried for the current
-_BATCH = 8  # directions that are replayed at once
+_AROUND = 500  # steps (half a second) to average the motion's noise
+_LOOSE = 0.05  # torque of the encoder offset's uncertainty over the rated torque, above which the rotor alone is tried
+_BATCH = 8  # directions per replay
 _BALANCE_OF = {"motor_current": CURRENT, "motor_torque": CURRENT, "joint_torque": TORQUE, "external_torque": LINK}
 
 
 @dataclass(frozen=True)
 class ChannelError:
-    """Error of a simulated channel in motion: rms, its mean part, and what sensors' noise alone would leave, all in `unit`; share
-    of the samples whose reading lies in the band widened by the sensor's own noise; number of samples."""
+    """Error of a simulated channel in motion: rms, mean and rms of the sensors' noise in `unit`; share of samples inside the band
+    widened by sensor noise; number of samples."""
 
     rms: float
     mean: float
@@ -87,7 +85,7 @@ class ValidationRegion:
     beyond: float
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands in `validation.json`."""
+        """Return the region as in `validation.json`."""
         return {
             "by": self.by, "from": self.low, "to": self.high, "unit": self.unit, "samples": self.samples, "rms": self.rms,
             "beyond": self.beyond,
@@ -96,14 +94,14 @@ class ValidationRegion:
 
 @dataclass(frozen=True)
 class Channels:
-    """One recording measured and simulated; n samples, not finite where nothing could be simulated.
+    """One recording measured and simulated; n samples, NaN where the simulation is missing.
 
     Attributes:
       name: of the recording.
       time: as its table has it, shape (n,) [s].
       measured, simulated, deviation: by channel, shape (n,); the last is half a band over `SIGMAS`.
-      noise: what the sensors' noise leaves of `measured` − `simulated`, rms by channel, shape (n,).
-      sensor: the part of it that is the channel's own sensor's, rms by channel.
+      noise: rms of `measured` − `simulated` from the sensors' noise by channel, shape (n,).
+      sensor: part of the channel's own sensor, rms by channel.
       moving: which samples count, shape (n,), bool.
       angle, velocity, load: of the link, shape (n,) [rad], [rad/s], [N·m].
       units: by channel.
@@ -124,7 +122,7 @@ class Channels:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """All columns as they are written: `time`, and of every channel `<channel>`, `<channel>_simulated`, `_low`, `_high`."""
+        """Columns of the output: `time`, and `<channel>`, `<channel>_simulated`, `_low`, `_high` of every channel."""
         found = {"time": self.time}
         for name, values in self.measured.items():
             half = SIGMAS * self.deviation[name]
@@ -144,7 +142,7 @@ class Channels:
 
 @dataclass(frozen=True)
 class Validation:
-    """How well a description predicts a measurement.
+    """Comparison of a description with a measurement.
 
     Attributes:
       joint: its name.
@@ -154,8 +152,8 @@ class Validation:
       mistakes: in the data.
       fixed: what `flexspline import --fix` changed before.
       recordings: measured and simulated channels.
-      untared: whether most of the link position's error is a mean that a link encoder's zero may be, which the description leaves
-        open. The joint torque's mean is then of it, too, as torsion is read from both encoders.
+      untared: whether most of the link position's error is a mean that an uncertain encoder offset explains. It also affects
+        the joint torque's mean, through the torsion.
     """
 
     joint: str
@@ -181,7 +179,7 @@ class Validation:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """What `validation.json` holds."""
+        """Return the content of `validation.json`."""
         return {
             "format": 1,
             "joint": self.joint,
@@ -196,7 +194,7 @@ class Validation:
 
 
 def validate(measurement: Measurement, joint: Joint) -> Validation:
-    """Hold a joint's description against a measurement.
+    """Compare a joint's description with a measurement.
 
     Args:
       measurement: recordings of the joint.
@@ -231,7 +229,7 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
 
 @dataclass(frozen=True)
 class _Part:
-    """What is simulated of one segment at its n steps; by channel the values and the variances of what they may be off by."""
+    """Simulation of one segment at its n steps: values and variances by channel."""
 
     segment: Segment
     values: dict[str, np.ndarray]
@@ -239,13 +237,13 @@ class _Part:
     motion_noise: dict[str, np.ndarray]
 
     def at(self, since: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Values at the steps or the residuals of the segment, at times since the recording's start, NaN beyond its ends."""
+        """Interpolate values at steps or residuals to times since the recording's start; NaN beyond the segment."""
         time = self.segment.time if len(values) == len(self.segment.time) else self.segment.at
         return np.interp(since, time, values, left=np.nan, right=np.nan)
 
 
 def _simulated(recording: Recording, joint: Joint) -> Channels:
-    """A recording's channels, measured and simulated."""
+    """Simulate a recording's channels."""
     conditioned = condition(recording, joint)
     recording = replace(recording, time=conditioned.recording.time, logged=conditioned.recording.logged)
     parts = _parts(conditioned, joint, [name for name in _BALANCE_OF if name in recording])
@@ -286,12 +284,12 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
 
 
 def _width(parts: Sequence[_Part], name: str) -> float:
-    """Median standard deviation of a channel as it is simulated."""
+    """Return the median standard deviation of a simulated channel."""
     return float(np.sqrt(np.median(np.concatenate([part.variance[name] for part in parts])))) if parts else np.inf
 
 
 def _loose(joint: Joint) -> bool:
-    """Whether the zeros of the encoders are so little known against each other that torsion may say nothing of the torque."""
+    """Return whether the encoder offset is too uncertain to get a torque from torsion."""
     return joint.numbers["K1"].value * _zero_std(joint) > _LOOSE * joint.numbers["rated_torque"].value
 
 
@@ -302,14 +300,14 @@ def _zero_std(joint: Joint) -> float:
 
 
 def _untared(error: ChannelError | None, joint: Joint) -> bool:
-    """Whether most of the link position's error is a mean within what is not known of the link encoder's zero."""
+    """Return whether most of the link position's error is a mean within the uncertainty of the encoder's zero."""
     if error is None or not _loose(joint):
         return False
     return error.noise < abs(error.mean) <= SIGMAS * _zero_std(joint) and error.mean**2 > error.rms**2 / 2
 
 
 def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint, noise: float) -> np.ndarray | float:
-    """Mean square of a measured channel beyond the smoother's passband and its sensor's noise, shape (n,)."""
+    """Return the mean square of a channel above the passband and its sensor's noise, shape (n,)."""
     if name not in ("motor_current", "motor_torque", "joint_torque"):
         return 0.0
     since = recording.time - recording.time[0]
@@ -321,7 +319,7 @@ def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint,
 
 
 def _joined(parts: Sequence[_Part], since: np.ndarray, values: Sequence[np.ndarray]) -> np.ndarray:
-    """Values of all segments at a recording's samples, shape (n,); NaN between them."""
+    """Join values of all segments at a recording's samples, shape (n,); NaN between them."""
     found = np.full(len(since), np.nan)
     for part, x in zip(parts, values, strict=True):
         here = part.at(since, x)
@@ -330,19 +328,19 @@ def _joined(parts: Sequence[_Part], since: np.ndarray, values: Sequence[np.ndarr
 
 
 def _counts(segment: Segment) -> np.ndarray:
-    """Residuals in motion after the unknown initial state of the friction is forgotten, shape (k,), bool."""
+    """Return which residuals are in motion with settled friction, shape (k,), bool."""
     return (segment.usable | segment.held_out).any(axis=1) & ~segment.at_rest
 
 
 def _sensor_noise(joint: Joint, name: str) -> float:
-    """Noise of a channel's own sensor, rms, counts and steps included."""
+    """Return the rms noise of a channel's own sensor, including counts and steps."""
     spec = joint.sensors.of(CHANNELS[name])
     step = spec.resolution if isinstance(spec, EncoderSpec) else getattr(spec, "step", 0.0)
     return float(np.hypot(getattr(spec, "noise", 0.0), step / np.sqrt(12)))
 
 
 def _parts(conditioned: Conditioned, joint: Joint, names: Sequence[str]) -> list[_Part]:
-    """The segments of a recording, each with those of the channels `names` that can be simulated in it."""
+    """Simulate the channels `names` in each segment of a recording, if possible."""
     recording = conditioned.recording
     record = joint.record(recording.link)
     moved = directions(joint, recording.link)
@@ -359,7 +357,7 @@ def _parts(conditioned: Conditioned, joint: Joint, names: Sequence[str]) -> list
         for first in range(0, len(moved), _BATCH):
             for changed in parallel(channels, [(one, other) for other in moved[first : first + _BATCH]]):
                 for name in kept:
-                    if np.isfinite(changed[name]).all():  # one beyond reason says nothing
+                    if np.isfinite(changed[name]).all():  # skip diverged replays
                         variance[name] += (changed[name] - base[name]) ** 2
         resting = np.interp(one.time, one.at, one.at_rest)
         for name in kept:
@@ -371,30 +369,30 @@ def _parts(conditioned: Conditioned, joint: Joint, names: Sequence[str]) -> list
 
 
 def _can(segment: Segment, recording: Recording, name: str) -> bool:
-    """Whether a channel can be simulated in a segment."""
+    """Return whether a channel can be simulated in a segment."""
     if name == "external_torque":
         return recording.external == "measured" and segment.weighed
-    # A joint torque that was read is held against the torsion, or with one encoder against the link's motion.
+    # A joint torque is compared with the torsion, or with one encoder with the link's motion.
     return name in ("link_position", "joint_torque") or bool(segment.balances[_BALANCE_OF[name]])
 
 
 def _channels(segment: Segment, record: np.ndarray, names: Sequence[str], late: np.ndarray) -> dict[str, np.ndarray]:
-    """Channels as their sensors should have read them at a segment's steps, shape (n,) each; `late` as of `lateness`."""
+    """Simulate the readings of channels at a segment's steps, shape (n,) each; `late`: from `lateness`."""
     p, time = record[0], segment.time
     inner = transmission(segment, record)
     out = readings(segment, record, inner)
     for balance, delay in zip((CURRENT, TORQUE), late, strict=True):
         out[:, balance] = np.interp(time - delay, time, out[:, balance])
-    if segment.has_torque:  # what the link was asked for then has been read since
+    if segment.has_torque:  # the sensor's delay
         out[:, LINK] += np.interp(time + late[TORQUE], time, segment.torque) - segment.torque
     found = {}
     for name in names:
         if name == "motor_torque":
             found[name] = out[:, CURRENT] * p["Kt_drive"]
-        elif name == "external_torque":  # what is left of the balance beside the torque that was measured
+        elif name == "external_torque":  # residual of the balance without the measured torque
             scale = p["torque_gain"] if segment.has_torque else segment.stiffness / (p["K1"] + p["K2"] + p["K3"])
             found[name] = segment.external - out[:, LINK] / scale
-        elif name == "joint_torque" and not segment.balances[TORQUE]:  # what the link's motion asks for
+        elif name == "joint_torque" and not segment.balances[TORQUE]:  # torque of the link's motion
             needed = np.interp(time + late[TORQUE], time, segment.torque) - out[:, LINK]
             found[name] = np.interp(time - late[TORQUE], time, needed)
         elif name == "link_position":
@@ -418,7 +416,7 @@ def _link_readings(p, time, temperature, inner, out):
 
 
 def _discrepancy(joint: Joint, name: str) -> float:
-    """What the description could not hold in the data that it was fitted to, rms in the channel's unit."""
+    """Return the model discrepancy of the description's fit, rms in the channel's unit."""
     stated = joint.uncertainty
     if stated is None:
         return 0.0
@@ -436,13 +434,13 @@ def _discrepancy(joint: Joint, name: str) -> float:
 
 
 def _friction_at_rest(joint: Joint, name: str) -> float:
-    """Standard deviation of friction at rest, which may be anything up to its level, in the unit of current or motor torque."""
+    """Return the standard deviation of friction at rest, in the unit of the current or motor torque."""
     level = joint.numbers["Fs"].value / np.sqrt(3)
     return float(level if name == "motor_torque" else level / joint.numbers["Kt"].value)
 
 
 def _inflation(segment: Segment, joint: Joint) -> np.ndarray:
-    """By how much what the description cannot hold grows beyond the range of validity, shape (n,)."""
+    """Return the growth of the model discrepancy beyond the range of validity, shape (n,)."""
     valid, stated = joint.valid, joint.uncertainty
     if valid is None or stated is None:
         return np.ones(len(segment.time))
@@ -450,7 +448,7 @@ def _inflation(segment: Segment, joint: Joint) -> np.ndarray:
     return 1 + (stated.beyond - 1) * np.interp(segment.time, segment.at, far)
 
 
-# --- what is told ----------------------------------------------------------------------------------------------------
+# --- results ---------------------------------------------------------------------------------------------------------
 
 
 def _residual(recordings: Sequence[Channels]) -> dict[str, ChannelError]:
@@ -467,7 +465,7 @@ def _residual(recordings: Sequence[Channels]) -> dict[str, ChannelError]:
             for columns in (
                 [r.measured[name] - r.simulated[name] for r in having],
                 [r.noise[name] for r in having],
-                # A band holds the channel without its sensor's noise, and the noise of the measured motion already.
+                # The band includes the motion's noise, but not the sensor's.
                 [np.hypot(r.deviation[name], r.sensor[name]) for r in having],
             )
         )

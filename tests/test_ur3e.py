@@ -34,7 +34,7 @@ def test_import_and_check(flexspline, log, tmp_path):
     code, text, error = flexspline("check", tmp_path / "m")
     assert code == 0 and "no mistake in the data was found" in text, error
     assert "torsion is not measured" in text
-    assert "it lives in the torsion, which one encoder does not show" in text
+    assert "it affects the torsion, which one encoder does not measure" in text
 
 
 def test_regression_that_diagnosis_is_held_against(log, ur3e):

@@ -1,8 +1,7 @@
-"""What people get wrong, as one table: each entry says what is wrong with a column, and how the column is without.
+"""Table of the mistakes a measurement may have. Each entry is a `Mistake`.
 
-An entry is a `Mistake` with a price in log likelihood: nobody makes a mistake without need. Where it has a number (a gear ratio,
-a zero, a clock), the channels themselves give it. What an entry does to channels is written once, in `undone`: for the columns
-of a file and for smoothed ones with their derivatives.
+Every mistake has a price in log likelihood, as mistakes are rare. If an entry has a number (a gear ratio, a zero, a clock), it
+is fitted to the channels. `undone` removes a mistake from the columns of a file, and from smoothed channels with derivatives.
 """
 
 from __future__ import annotations
@@ -29,23 +28,21 @@ class ChangeSettings:
     price: float = 9.0  # of a mistake
     free: float = 5.0  # of a number that is free, more
     unusual: float = 3.0  # of a unit that hardly anybody logs in, more
-    # of counts of another encoder than the described one's, or of one that is read four times as fine or coarse, more
+    # added price of counts of another encoder, and of counts read at four times or a quarter of the described resolution
     other_counts: tuple[float, float] = (8.0, 4.0)
-    not_counts: float = (
-        6.0  # of another unit where every value is a whole number, and of counts where not every one is, more
-    )
+    # added price of another unit if every value is a whole number, and of counts if not every value is
+    not_counts: float = 6.0
     slope: float = 0.004  # by how much the encoders' ratio may be off at the least to be another gear ratio, relative
     ratio: float = 10.0  # how many times as large or small another gear ratio may be
     whole: float = 1.5e-3  # by how much it may be off a whole number to be that, relative
     offsets: int = 24  # of the angle's zero, that are tried in a turn
     smallest_offset: float = 0.015  # between the encoders [rad]
-    # of all angles together [rad]: less is what a joint's gravity direction, a payload or a stop may make of it, and no mistake
+    # of all angles together [rad]: gravity's direction, a payload or a stop may explain less
     smallest_turn: float = 0.3
-    # between which one encoder is late: less may be in sound data, more is nothing of the same motion [s]
+    # smallest and largest delay of one encoder [s]: sound data may have less, more is not the same motion
     latest: tuple[float, float] = (0.015, 0.3)
     turns: float = 0.03  # of the motor, by which a counter's whole number of turns may be off
-    # between which a clock's unit is to a second: of less an inertia that is not as described is the reason, and what is more
-    # is none of a clock
+    # smallest and largest ratio of a clock's unit to a second; the description's inertia explains smaller ratios
     clock: tuple[float, float] = (1.3, 2.7)
     least_factor: float = 2.0  # of a unit, or what it makes of a torque, that a wrong description does not
     folded: float = 40.0  # what a torque that is folded at zero says for a sign that is lost, in log likelihood
@@ -57,8 +54,8 @@ SETTINGS = ChangeSettings()
 _DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
 _UNSURE = 0.5  # largest confidence where no change makes the channels fit
 GRAVITY = "gravity_angle"
-"""What is given for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
-NO_CHANGE = "the channels do not fit this joint, whatever unit, sign or place is changed"
+"""Column of a mistake in gravity's direction: the mounting's angle in the recording's YAML."""
+NO_CHANGE = "the channels do not fit this joint with any change of unit, sign or column"
 _SI = {
     "motor_position": "rad", "link_position": "rad", "position_command": "rad", "motor_current": "A",
     "motor_torque": "N·m of the motor", "joint_torque": "N·m", "external_torque": "N·m",
@@ -72,19 +69,19 @@ class Mistake:
     Attributes:
       name: `unit`, `sign`, `gear_ratio`, `swapped`, `late`, `wrapped`, `velocity`, `angle_zero`, `no_gravity`, `stuck`, `glitch`,
         `clipped`.
-      column: that has it; empty where it is no single one's.
-      recording: name of the recording that has it; empty where all have.
+      column: with the mistake; empty if it concerns several.
+      recording: with the mistake; empty if all have it.
       description: for people.
       confidence: probability of it.
       factor: that mends the column (of `gear_ratio`: that mends N); of `wrapped` a whole turn, or the range of a register, in the
         column's unit.
       seconds: by which the column is late. offset: that mends it, added.
       rows: of the table that have it, from 0.
-      also: further columns that the same change mends; an offset of the motor's on its own side of the gear.
-      becomes: the column that it is.
-      severe: whether it makes physics meaningless.
-      lost: whether what was meant cannot be had from the file.
-      price: of it in log likelihood. counts: whether it takes counts for an angle, and then whether the described encoder's.
+      also: further columns that the same change corrects; an offset of the motor position is on the motor side.
+      becomes: name of the column that it should have.
+      severe: whether it invalidates a diagnosis.
+      lost: whether the file does not contain the correct values.
+      price: in log likelihood. counts: for counts logged as an angle, whether they are the described encoder's.
     """
 
     name: str
@@ -105,42 +102,41 @@ class Mistake:
 
     @property
     def columns(self) -> str:
-        """All columns that have it, for people; empty where it is no single one's."""
+        """Columns with the mistake, as text."""
         return ", ".join(x for x in (self.column, *self.also) if x)
 
     @property
     def where(self) -> str:
-        """Recording and columns that have it, for people; empty where it is all and everywhere."""
+        """Recording and columns with the mistake, as text; empty if all have it."""
         return ": ".join(x for x in (self.recording, self.columns) if x)
 
     @property
     def sure(self) -> bool:
-        """Whether its change makes the channels fit the joint; that which only mends most may be something else."""
+        """Whether the change makes the channels fit the joint."""
         return self.confidence > _UNSURE and not self.lost
 
     @property
     def unmended(self) -> str:
-        """What is said of it where it is not sure."""
+        """Text for a mistake that is not sure."""
         if self.lost:
             return f"{self.description}; {self.remedy}"
-        return f"{NO_CHANGE}; what would mend most: {self.description}, {self.change}"
+        return f"{NO_CHANGE}; the best change would be: {self.description}, {self.change}"
 
     @property
     def remedy(self) -> str:
-        """What mends it, or what is said where nothing does."""
+        """The correction, as a sentence."""
         if self.lost:
-            return "nothing in the file mends that"
-        return (
-            f"{'mended by' if self.sure else 'no change makes the channels fit the joint; most would'}: {self.change}"
-        )
+            return "the file cannot be corrected"
+        certain = "corrected by" if self.sure else "no change makes the channels fit the joint; the best is"
+        return f"{certain}: {self.change}"
 
     @property
     def change(self) -> str:
-        """The change that mends it, in a few words."""
+        """The correction, in a few words."""
         if self.name == "no_gravity":
             return "log the whole torque, or state gravity_moment 0"
         if self.lost:
-            return "to be logged anew"
+            return "log it again"
         if self.becomes:
             return f"the column is {self.becomes}" + (
                 "" if self.becomes == "motor_current" else f", × {self.factor:.6g}"
@@ -164,7 +160,7 @@ class Mistake:
         return ", ".join([" ".join(words), *([] if self.offset is None else [f"{self.offset:+.6g} K"])]).strip(", ")
 
     def to_json(self) -> dict[str, Any]:
-        """As it is in `diagnosis.json`."""
+        """Return the mistake as in `diagnosis.json`."""
         data: dict[str, Any] = {"name": self.name}
         data |= {key: getattr(self, key) for key in ("column", "recording", "becomes") if getattr(self, key)}
         for key in ("factor", "seconds", "offset"):
@@ -184,10 +180,13 @@ Columns = Mapping[str, np.ndarray]
 def undone(
     m: Mistake, time: np.ndarray, columns: Columns, N: float, p: np.void
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Time [s], shape (n,), and channels without a mistake that is one of whole columns.
+    """Return time [s], shape (n,), and channels without a mistake of whole columns.
 
     Args:
-      m: the mistake. time, columns: as they are. N: gear ratio. p: the joint's record.
+      m: the mistake.
+      time, columns: as logged.
+      N: gear ratio.
+      p: record of the joint.
     """
     found = dict(columns)
     if m.column == "time":
@@ -195,10 +194,10 @@ def undone(
             return (time[-1] - time)[::-1], {n: _in_time(x[::-1], -1.0) for n, x in found.items()}
         assert m.factor is not None
         return m.factor * (time - time[0]), {n: _in_time(x, m.factor) for n, x in found.items()}
-    if m.name == "swapped":  # the only one goes under the other's name
+    if m.name == "swapped":
         given = {name: found.pop(name) for name in POSITIONS if name in found}
         return time, found | {POSITIONS[1 - POSITIONS.index(name)]: x for name, x in given.items()}
-    if m.column == GRAVITY:  # all angles less a half turn instead: nothing but gravity shows where they begin
+    if m.column == GRAVITY:  # equivalent to a half turn of all angles
         angles = [n for n in (*POSITIONS, "position_command") if n in found]
         return time, found | {n: _plus(found[n], math.pi * side(n, "link_position", N)) for n in angles}
     if m.becomes and m.column in found:
@@ -237,7 +236,11 @@ def undone(
 
 
 def expected_sign(channels: Columns, N: float, p: np.void) -> np.ndarray:
-    """Sign of the drive's torque by the joint's record, shape (n,); `channels`: smoothed, shape (n, 3)."""
+    """Return the sign of the drive's torque according to the joint's record, shape (n,).
+
+    Args:
+      channels: smoothed, shape (n, 3) each.
+    """
     position = next(n for n in reversed(POSITIONS) if n in channels)
     theta, v, a = (channels[position] * side("", position, N)).T
     inertia = p["Jl"] + N * N * (p["Jm"] + p["Jw"])
@@ -254,12 +257,12 @@ def _plus(x: np.ndarray, offset: float) -> np.ndarray:
 
 
 def _in_time(x: np.ndarray, factor: float) -> np.ndarray:
-    """Values, and what derivatives become where a unit of time is `factor` seconds."""
+    """Rescale derivatives for a unit of time of `factor` seconds."""
     return x if x.ndim == 1 else x / np.array([1.0, factor, factor**2])
 
 
 def _integral(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Position from zero, with derivatives where the velocity has some; the mean bridges gaps."""
+    """Integrate a velocity from zero, by trapezoids; keep derivatives if it has any."""
     v = velocity if velocity.ndim == 1 else velocity[:, 0]
     x = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (v[1:] + v[:-1]))])
     return x if velocity.ndim == 1 else np.column_stack([x, velocity[:, 0], velocity[:, 1]])
@@ -270,10 +273,10 @@ class Table:
     """The mistakes that a measurement may have.
 
     Attributes:
-      joint: its description; plausible: what each recording is compared with.
+      joint: the description; plausible: the description for each recording.
       whole: positions of which all values are whole numbers.
-      unsigned: torques that are folded at zero.
-      still_arm: whether no arm in motion carries the link.
+      unsigned: torques of which only the magnitude was logged.
+      still_arm: whether the other joints of an arm are at rest.
     """
 
     joint: Joint
@@ -283,7 +286,7 @@ class Table:
     still_arm: bool
 
     def entries(self, motions: Sequence[SmoothedChannels | None]) -> Iterator[Mistake]:
-        """All entries for channels as they are now, smoothed."""
+        """Yield all entries for smoothed channels."""
         there = {name for motion in motions if motion is not None for name in motion.channels}
         yield from self._scales(there)
         yield from self._places(there)
@@ -299,20 +302,20 @@ class Table:
             more = SETTINGS.not_counts if column in self.whole else 0.0
             for unit in _angles(column, price + more):
                 yield unit
-                turned = f"{unit.description}, and turned round"
+                turned = f"{unit.description}, and reversed"
                 yield replace(unit, description=turned, factor=-(unit.factor or 1.0), price=unit.price + price - 1)
             yield from self._counts(column)
-        for count in range(2, len(angles) + 1):  # nothing between them shows it
+        for count in range(2, len(angles) + 1):  # their ratio does not show it
             yield from (replace(one, also=tuple(angles[1:count])) for one in _angles(angles[0], price))
         if {"link_position", "motor_position"} <= there:
             yield replace(_sign("link_position"), also=("motor_position",))
         if "position_command" in there:
             yield _unit("position_command", "rad on the motor side", 1 / N)
         for column in (*DRIVING, "external_torque"):
-            if column in there:  # of one encoder's log, an angle that is turned round is the same, and hardly ever it
+            if column in there - self.unsigned:  # with one encoder a reversed angle looks the same, but is rarer
                 yield replace(_sign(column), price=price - 2)
-            if column in there & self.unsigned:
-                text = "its magnitude without its sign: it comes down to zero as often as it would cross it, and is never below"
+            if column in there & self.unsigned:  # a magnitude has no sign that could be reversed
+                text = "its magnitude without its sign: it touches zero as often as a signed torque would cross it"
                 yield replace(_sign(column), description=text, lost=True, price=-SETTINGS.folded)
         units = [
             ("motor_current", "mA", 1e-3), ("motor_current", "N·m of the motor", 1 / Kt),
@@ -326,13 +329,13 @@ class Table:
         if "joint_torque" in there and not there & {"motor_current", "motor_torque"}:
             effort = Mistake("unit", "joint_torque", "", "", 0.99, price=price + free)
             if abs(math.log(N * Kt)) > math.log(SETTINGS.least_factor):
-                said = "a current in A taken for N·m: the motor's, with its friction"
+                said = "a motor current in A, logged as a torque in N·m"
                 yield replace(effort, description=said, factor=N * Kt, becomes="motor_current")
-            said = "the drive's torque at the output, with its friction, taken for a torque sensor's"
+            said = "the drive's torque at the output, with friction, logged as a sensor's torque"
             yield replace(effort, description=said, factor=1 / N, becomes="motor_torque", price=price + 2 * free)
 
     def _counts(self, column: str) -> Iterator[Mistake]:
-        """Counts of the encoder as described, or, where every value is a whole number, of any other."""
+        """Yield counts of the described encoder and, if every value is a whole number, of other encoders."""
         encoders = {
             "motor_position": self.joint.sensors.motor_encoder,
             "link_position": self.joint.sensors.link_encoder,
@@ -351,12 +354,11 @@ class Table:
             yield replace(unit, counts=turn == lines)
 
     def _places(self, there: set[str]) -> Iterator[Mistake]:
-        """Columns that are something else: the other side's position, a velocity, an effort without gravity; time that runs
-        back."""
+        """Yield columns with another quantity: the other position or a velocity; also reversed time."""
         N = self.joint.numbers["N"].value
         positions = [name for name in POSITIONS if name in there]
         if len(positions) == 2:
-            yield _entry("swapped", "", "motor and link position are under each other's name")
+            yield _entry("swapped", "", "motor and link position are exchanged")
         else:
             other = POSITIONS[1 - POSITIONS.index(positions[0])].replace("_", " ")
             yield _entry("swapped", positions[0], f"this is the {other}")
@@ -369,15 +371,14 @@ class Table:
                 ("rad/s of the other side", ratio),
             ):
                 price = SETTINGS.price + (0.0 if factor is None else SETTINGS.unusual)
-                text = f"a velocity ({said}) where the position belongs"
+                text = f"a velocity ({said}), logged as a position"
                 yield _entry("velocity", column, text, price, factor=factor)
         if self.still_arm:
-            yield _entry(
-                "sign", "time", "time runs backwards: what brakes the joint would drive it", SETTINGS.price + 2
-            )
+            text = "time runs backwards: friction would drive the joint"
+            yield _entry("sign", "time", text, SETTINGS.price + 2)
 
     def _fitted(self, there: set[str], motions: list[tuple[Plausibility, SmoothedChannels]]) -> Iterator[Mistake]:
-        """Entries with a number that the channels themselves give: gear ratio, lateness, zeros, clock."""
+        """Yield entries with a fitted number: gear ratio, time offset, zeros, clock."""
         N = self.joint.numbers["N"].value
         free = SETTINGS.price + SETTINGS.free
         positions = [name for name in POSITIONS if name in there]
@@ -386,7 +387,7 @@ class Table:
         if slope is not None and abs(slope - 1) > SETTINGS.slope and 1 / SETTINGS.ratio < slope < SETTINGS.ratio:
             near = round(slope * N)
             more = SETTINGS.free
-            if near and abs(slope * N / near - 1) < SETTINGS.whole:  # N ± 1: the other kind of strain wave gear
+            if near and abs(slope * N / near - 1) < SETTINGS.whole:  # N ± 1: circular spline and flexspline exchanged
                 slope, more = near / N, 0.0 if near in (round(N) - 1, round(N) + 1) else SETTINGS.free
             text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:.5g}"
             yield _entry("gear_ratio", "motor_position", text, SETTINGS.price + more, factor=slope)
@@ -395,14 +396,14 @@ class Table:
         lags = [_lag(m, N) for m in both]
         for lag in {round(x, 2): x for x in [float(np.median(lags)), *lags]}.values() if lags else ():
             if SETTINGS.latest[0] < abs(lag) < SETTINGS.latest[1]:
-                text = f"{1e3 * abs(lag):.3g} ms late against the other encoder"
+                text = f"{1e3 * abs(lag):.3g} ms later than the other encoder"
                 yield _entry("late", POSITIONS[1] if lag > 0 else POSITIONS[0], text, free, seconds=abs(lag))
         between = _median(both, "motor_position", "link_position", N)
         if between is not None and abs(between) > SETTINGS.smallest_offset:
             yield _zero(("link_position",), between, free)
             turns = N * between / (2 * math.pi)
             if round(turns) and abs(turns - round(turns)) < SETTINGS.turns:
-                text = f"{abs(round(turns))} whole turns off against the link's, as after a power cycle"
+                text = f"{abs(round(turns))} whole turns off the link position, as after a power cycle"
                 offset = -2 * math.pi * round(turns)
                 yield _entry("wrapped", "motor_position", text, free - 4, factor=2 * math.pi, offset=offset)
             yield _zero(("motor_position",), -N * between, free)
@@ -412,11 +413,11 @@ class Table:
             yield _zero(("position_command",), -command, free)
         loads = list(self._of_loads(there, motions))
         yield from loads
-        # No zero of the angle makes gravity of none.
-        angle = None if any(m.name == "no_gravity" for m in loads) else self._hanging(motions)
+        # A zero of the angle cannot explain missing gravity.
+        angle = None if any(m.name == "no_gravity" for m in loads) else self._gravity_offset(motions)
         if angle is not None:
             if abs(angle) == math.pi and any(abs(p.p["gravity_angle"]) > 0.3 for p in self.plausible):
-                text = "gravity acts the other way: gravity_angle is a half turn off, or all angles are"
+                text = "gravity acts in the opposite direction: gravity_angle or all angles are off by half a turn"
                 yield replace(_sign(GRAVITY), description=text, offset=math.pi)
             for columns in (positions, [*positions, "position_command"]):
                 if there.issuperset(columns):
@@ -424,21 +425,23 @@ class Table:
                     yield _zero(first, angle * side(first[0], "link_position", N))
 
     def _of_loads(self, there: set[str], motions: list[tuple[Plausibility, SmoothedChannels]]) -> Iterator[Mistake]:
-        """What the gravity and inertia that fit best say: an effort without gravity; a clock that is wrong, with whose square the
-        inertia goes, and gravity does not."""
+        """Yield what the best gravity and inertia show: an effort without gravity, or a wrong clock.
+
+        A clock scales inertia by the square of its error, and leaves gravity unchanged.
+        """
         fits = {
             n: [(p, p.torque(m, n, True).coefficients) for p, m in motions if n in m] for n in DRIVING if n in there
         }
         for column, found in fits.items():
             if all(
                 p.p["Mg"] > SETTINGS.weight * p.rated
-                # Of a torque that is all too small, gravity as well, none is missing.
+                # A torque that is too small as a whole does not lack gravity.
                 and math.hypot(c[1], c[2]) < SETTINGS.none * min(max(c[0], 0.0), 1.0) * p.p["Mg"]
                 for p, c in found
             ):
                 text = (
-                    f"holds no gravity: {max(p.p['Mg'] for p, _ in found):.3g} N·m · sin(angle) is missing. Does the drive take "
-                    "gravity off (compensated or external torque), or is the joint's axis vertical?"
+                    f"lacks gravity: {max(p.p['Mg'] for p, _ in found):.3g} N·m · sin(angle) is missing. Does the drive subtract "
+                    "gravity (compensated or external torque), or is the joint's axis vertical?"
                 )
                 yield _entry("no_gravity", column, text, lost=True)
         inertias = [c[0] for found in fits.values() for _, c in found]
@@ -446,11 +449,11 @@ class Table:
             return
         ratio = float(np.sqrt(max(np.median(inertias), 1e-6)))
         if SETTINGS.clock[0] < max(ratio, 1 / ratio) < SETTINGS.clock[1]:
-            text = f"a second of the log is {1 / ratio:.3g} s: inertia is {ratio**2:.3g} times what is described, gravity is not"
+            text = f"a second of the log is {1 / ratio:.3g} s: inertia is {ratio**2:.3g} times the description"
             yield _entry("unit", "time", text, SETTINGS.price + 2 * SETTINGS.free, factor=1 / ratio)
 
-    def _hanging(self, motions: list[tuple[Plausibility, SmoothedChannels]]) -> float | None:
-        """By how much all angles would have to be turned for gravity to suit them best [rad]; None where it hardly matters."""
+    def _gravity_offset(self, motions: list[tuple[Plausibility, SmoothedChannels]]) -> float | None:
+        """Return the common offset of all angles that fits gravity best [rad]; None if it is small."""
         weighed = [(p, m) for p, m in motions if p.p["Mg"] > 0 and any(n in m for n in DRIVING)]
         fits = [p.torque(m, n) for p, m in weighed for n in DRIVING if n in m]
         if not any(fit.suspicious or fit.vague for fit in fits):
@@ -482,11 +485,11 @@ def _entry(name: str, column: str, description: str, price: float = SETTINGS.pri
 
 
 def _sign(column: str) -> Mistake:
-    return _entry("sign", column, "turned round", SETTINGS.price - 1)
+    return _entry("sign", column, "reversed", SETTINGS.price - 1)
 
 
 def _unit(column: str, said: str, factor: float, price: float = SETTINGS.price) -> Mistake:
-    return _entry("unit", column, f"{said} taken for {_SI[column]}", price, factor=factor)
+    return _entry("unit", column, f"{said}, logged as {_SI[column]}", price, factor=factor)
 
 
 def _angles(column: str, price: float) -> Iterator[Mistake]:
@@ -499,14 +502,14 @@ def _link_first(columns: Sequence[str]) -> tuple[str, ...]:
 
 
 def _zero(columns: Sequence[str], offset: float, price: float | None = None) -> Mistake:
-    """An offset of some angles, in the first one's unit; of a quarter turn it is likelier than of any other."""
+    """Return an offset of some angles, in the unit of the first; quarter turns have a lower price."""
     if price is None:
         price = SETTINGS.price + (0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else 1.0)
-    return _entry("angle_zero", columns[0], "zero is elsewhere", price, offset=offset, also=tuple(columns[1:]))
+    return _entry("angle_zero", columns[0], "another zero", price, offset=offset, also=tuple(columns[1:]))
 
 
 def _slope(both: Sequence[SmoothedChannels], N: float) -> float | None:
-    """Turns of the motor over N times those of the link, of all recordings; None where the link hardly moves."""
+    """Return the measured gear ratio over N, of all recordings; None if the link hardly moves."""
     found, weights = [], []
     for motion in both:
         m, l = (motion.channels[name][:, 0] for name in POSITIONS)
@@ -518,7 +521,7 @@ def _slope(both: Sequence[SmoothedChannels], N: float) -> float | None:
 
 
 def _median(motions: Sequence[SmoothedChannels], a: str, b: str, N: float) -> float | None:
-    """Median of one position less another on the output side [rad], of all recordings that have both."""
+    """Return the median difference of two positions on the output side [rad], of all recordings with both."""
     found = [
         m.channels[a][:, 0] / side(a, "link_position", N) - m.channels[b][:, 0] / side(b, "link_position", N)
         for m in motions
@@ -528,14 +531,14 @@ def _median(motions: Sequence[SmoothedChannels], a: str, b: str, N: float) -> fl
 
 
 def _lag(motion: SmoothedChannels, N: float) -> float:
-    """By how much the link lags behind the motor, at their best offset and slope [s]."""
+    """Return the delay of the link position against the motor position, at the best offset and slope [s]."""
     lag, time = 0.0, motion.time
     a, b = (motion.channels[name] / side(name, "link_position", N) for name in POSITIONS)
 
     def later(x: np.ndarray, by: float) -> np.ndarray:
         return np.column_stack([np.interp(time + by, time, x[:, k]) for k in range(2)])
 
-    for _ in range(4):  # what is linear in a small lag is not in a large one
+    for _ in range(4):  # linearised
         now, other = later(b, max(lag, 0.0)), later(a, max(-lag, 0.0))
         A = np.column_stack([now[:, 1], np.ones(len(now)), now[:, 0]])
         lag += float(np.linalg.lstsq(A, other[:, 0] - now[:, 0], rcond=None)[0][0])
@@ -543,15 +546,15 @@ def _lag(motion: SmoothedChannels, N: float) -> float:
 
 
 def shrinkage(m: Mistake, new: Mapping[str, RelationFit], old: Mapping[str, RelationFit], effective: float) -> float:
-    """What it costs in a recording that smaller torques, or all angles smaller, look like nothing, whatever they are.
+    """Return the cost of a change that makes torques or angles smaller: small signals fit any description.
 
-    Of angles no more than relations between them alone gain by it: where that is nothing, torques say which motion it was.
+    The cost for angles is at most the gain of the relations between angles.
     """
-    if m.becomes:  # what is so much larger says so much more
+    if m.becomes:
         return -effective * max(math.log(m.factor or 1.0), 0.0)
     smaller = -math.log(abs(m.factor)) if m.name == "unit" and m.factor and m.column != "time" else 0.0
     if smaller <= 0.0:
-        # Nor is it a reason against a larger torque that its residual is larger, by no more than it itself.
+        # The residual of a larger torque may be larger by the same factor.
         if m.column not in DRIVING or m.column not in new or m.column not in old:
             return 0.0
         return -min(-effective * smaller, max(old[m.column].sharpness - new[m.column].sharpness, 0.0))

@@ -1,8 +1,7 @@
-"""What a measurement is, and what it can show at all: before anything is fitted.
+"""Summarise a measurement, and find which causes it can show, without a fit.
 
-The rules are about motion and channels only (has it reversed, how far has it turned, was there a load), so that they can be told
-to a person at once; how well causes can be told apart is a question for diagnosis proper. What a cause takes stands with the
-cause (`models.causes`: `needs`, `requires`, `torsion`), or follows from the laws.
+The rules concern motion and channels only (reversals, travel, load). A diagnosis decides which causes are confounded. The
+requirements of a cause are in `models.causes` (`needs`, `requires`, `torsion`), or follow from the laws.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from ...estimator.conditioning import condition
+from ...estimator.conditioning import Conditioned, condition
 from ...estimator.motion import smooth
 from ...models import causes, dynamics
 from ...models.causes import Cause
@@ -43,14 +42,14 @@ _DRIVE = ("motor_current", "motor_torque")
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """One recording in numbers.
+    """Summary of one recording.
 
     Attributes:
       name: of the recording; samples, duration [s], interval (median) [s].
       jitter: rms of the intervals' deviation from it, without missing samples [s].
-      late: by how much the time stamps are wrong, as the encoders have it [s rms]; zero where they do not say so.
+      late: error of the time stamps according to the encoders [s rms]; zero if unknown.
       passband: up to which its motion may be differentiated twice [Hz].
-      done: what conditioning does to it, as sentences.
+      done: corrections of the conditioning, as sentences.
       missing: single samples that are missing; gaps: longer ones, begin and end [s].
       ranges: smallest and largest value by channel.
       motor_speed, link_speed: largest [rad/s]; of an encoder that is not there, by the gear ratio.
@@ -98,10 +97,10 @@ class Balance:
     recordings: tuple[str, ...]
 
 
-def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
-    """Sum up a recording of a joint, whatever its channels."""
+def summarise(recording: Recording, joint: Joint, conditioned: Conditioned | None = None) -> RecordingSummary:
+    """Summarise a recording of a joint, with any channels; `conditioned`: the same recording, if it is available."""
     time = recording.time
-    conditioned = condition(recording, joint)
+    conditioned = conditioned or condition(recording, joint)
     interval = recording.interval
     inside, there, jitter = _steps(time, interval, recording.gap)
     N = joint.numbers["N"].value
@@ -141,8 +140,7 @@ def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
 
 
 def _steps(time: np.ndarray, interval: float, gap: float) -> tuple[float, int, float]:
-    """Of the times between samples that are no gaps: their sum [s] and number, and the rms by which those that miss no sample
-    differ from the interval [s]."""
+    """Return sum [s] and number of the intervals without gaps, and the rms jitter [s] of those without missing samples."""
     steps = np.diff(time)
     steps = steps[steps <= gap]
     whole, count = float(steps.sum()), len(steps)
@@ -158,8 +156,10 @@ def missing_columns(measurement: Measurement) -> list[str]:
 
 
 def balances(measurement: Measurement) -> tuple[Balance, ...]:
-    """The torque balances that can be formed with the channels there are, none twice; with one encoder where no unmeasured push
-    may act, if there is such a recording."""
+    """Return the torque balances of the channels, without duplicates.
+
+    With one encoder, recordings with unmeasured pushes are skipped if there are others.
+    """
     found: dict[tuple[str, str], list[str]] = {}
     for recording in undisturbed(measurement.recordings):
         for key in _balances(recording):
@@ -168,8 +168,7 @@ def balances(measurement: Measurement) -> tuple[Balance, ...]:
 
 
 def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
-    """Name and description of the balances of one recording; as of `segments`, none of the link where something acts on it that
-    is not known."""
+    """Yield name and description of a recording's balances; none of the link with unknown loads, as in `segments`."""
     drive = next((name for name in _DRIVE if name in recording), None)
     said = None if drive is None else drive.replace("_", " ")
     sensor = "joint_torque" in recording
@@ -191,8 +190,7 @@ def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
 
 
 def too_little(measurement: Measurement, joint: Joint) -> str | None:
-    """Why nothing at all can show: the log is too slow, no part is long enough for a diagnosis, or nothing moves in any that is;
-    None where it can."""
+    """Return why no cause can show: slow log, short segments or no motion; None if causes can show."""
     samples, seconds = SETTINGS.shortest
     fastest = 1 / min(r.interval for r in measurement.recordings)
     if fastest < SLOWEST:
@@ -211,8 +209,7 @@ def too_little(measurement: Measurement, joint: Joint) -> str | None:
 
 
 def _moves(recording: Recording, part: slice, joint: Joint) -> bool:
-    """Whether the rotor moves in a part: leaves where it was, or is not at rest as diagnosis has it. A link that is bolted to the
-    bench lets it but wind the gear up."""
+    """Return whether the rotor moves in a part, as a diagnosis defines it; with a locked output it winds up the gear."""
     rotor = _positions(recording, joint.numbers["N"].value)[0][part]
     travel = float(np.ptp(rotor))
     if recording.link.locked or travel >= SETTINGS.settle_travel or travel < SETTINGS.rest_travel:
@@ -222,8 +219,7 @@ def _moves(recording: Recording, part: slice, joint: Joint) -> bool:
 
 
 def torque_over_current(recording: Recording, joint: Joint) -> float | None:
-    """The drive's torque over the torque constant it believes in times the current, where they differ by more than a few percent
-    and noise; else None. Where both are there the current is read."""
+    """Return the drive's torque over its torque constant times the current, if significantly different from 1; else None."""
     if not all(name in recording for name in _DRIVE):
         return None
     believed = float(joint.record(recording.link)[0]["Kt_drive"])
@@ -240,8 +236,11 @@ def torque_over_current(recording: Recording, joint: Joint) -> float | None:
 def undetermined(
     measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary] | None = None
 ) -> dict[str, str]:
-    """Causes that this measurement cannot show at ordinary size, each with the first reason found; `summaries` of its recordings,
-    where they are there."""
+    """Return the causes that a measurement cannot show at ordinary size, each with a reason.
+
+    Args:
+      summaries: of the recordings, if available.
+    """
     found = _Extent.of(measurement, joint, summaries or [summarise(r, joint) for r in measurement.recordings])
     nothing = too_little(measurement, joint)
     reasons: dict[str, str] = {}
@@ -253,7 +252,7 @@ def undetermined(
 
 
 def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
-    """Whether a cause can show with the channels there are, whatever the motion.
+    """Return whether a cause can show in the channels of a measurement, for any motion.
 
     Args:
       name: of the cause.
@@ -267,7 +266,7 @@ def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
 
 
 def shows_in(cause: Cause, columns: Set[str], both_encoders: bool, arm: bool = False) -> bool:
-    """Whether a cause can show in these channels, both encoders in one recording or not."""
+    """Return whether a cause can show in these channels, with or without both encoders in one recording."""
     return (arm or not cause.requires.arm) and next(_hidden_from(cause, columns, both_encoders), None) is None
 
 
@@ -277,7 +276,7 @@ def _rate(measurement: Measurement) -> float:
 
 
 def _too_slow(cause: Cause, rate: float, passband: float = np.inf) -> Iterator[str]:
-    """Why a cause cannot show in a log of a rate [Hz] whose motion is known up to a passband [Hz]; nothing where it can."""
+    """Yield why a cause cannot show at a sample rate [Hz] and passband [Hz]."""
     if cause.resonance and passband < TORSION_RATE / 4:
         yield f"the motion is known up to {passband:.2g} Hz, no resonance is slower"
     if (cause.torsion or cause.resonance) and rate < TORSION_RATE:
@@ -287,13 +286,13 @@ def _too_slow(cause: Cause, rate: float, passband: float = np.inf) -> Iterator[s
 
 
 def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterator[str]:
-    """Why a cause cannot show in these channels; nothing where it can."""
+    """Yield why a cause cannot show in these channels."""
     for column in cause.needs:
         if column not in columns:
             yield f"there is no column {column}"
     if cause.torsion and not both_encoders:
-        yield "it lives in the torsion, which one encoder does not show"
-    # What acts on the link shows in what a torque sensor says of its motion.
+        yield "it affects the torsion, which one encoder does not measure"
+    # A torque sensor shows loads of the link.
     weighed = cause.component == "link" and "joint_torque" in columns
     if cause.behind_link_encoder and not both_encoders and "motor_position" not in columns and not weighed:
         yield cause.behind_link_encoder
@@ -301,7 +300,7 @@ def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterat
 
 @dataclass(frozen=True)
 class _Extent:
-    """How far a measurement goes in what causes require (`models.causes.base.Requirements`), over all its recordings."""
+    """What a measurement offers for the requirements of causes (`models.causes.base.Requirements`)."""
 
     joint: Joint
     rate: float
@@ -355,17 +354,17 @@ class _Extent:
 
 
 def _lacking(cause: Cause, found: _Extent, nothing: str | None) -> Iterator[str]:
-    """Why a cause cannot show, the plainest reason first, `nothing` where none can (`too_little`); nothing where it can."""
+    """Yield why a cause cannot show, the simplest reason first; `nothing`: reason for all causes (`too_little`)."""
     yield from _hidden_from(cause, found.columns, found.both_encoders)
     if nothing is not None:
         yield nothing
     yield from _too_slow(cause, found.rate, found.passband)
     if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint, found.both_encoders):
-        yield "it shows in what the drive needs alone, and there is no motor current"
+        yield "it affects the motor current alone, which is missing"
     if "Jm" in {*cause.sets.values(), *cause.scales} and "motor_position" in found.columns:
         louder = shaken(found.joint)
         if louder > _SHAKEN:
-            yield f"what the motor encoder's counts make of its acceleration is {louder:.2g} times the current's noise"
+            yield f"the acceleration's noise from the motor encoder's counts is {louder:.2g} times the current's noise"
     needed = cause.requires
     if found.sliding < needed.sliding:
         yield f"the gear slides for {found.sliding:.2g} s, less than {needed.sliding:g} s"
@@ -396,15 +395,17 @@ def _lacking(cause: Cause, found: _Extent, nothing: str | None) -> Iterator[str]
 
 
 _SHAKEN = 1.5
-"""Times the current's noise beyond which the counts hide a rotor's inertia: the drive acts on them, and a fit makes it what has
-least noise. On a joint with 3.4 one 2.1 to 3.3 times as large was found in none of six draws, with 1.2 in all of three."""
+"""Ratio to the current's noise beyond which counts hide a rotor's inertia: the drive reacts to them, which biases a fit. With a
+ratio of 3.4, an inertia 2.1 to 3.3 times as large was found in none of six draws; with 1.2 in three of three."""
 _SEEN = 0.5 / (STEP * DECIMATION)
 """Frequency [Hz] up to which residuals see an acceleration."""
 
 
 def shaken(joint: Joint) -> float:
-    """Noise of the rotor's acceleration that the motor encoder makes, as a current, over the current's own noise; 0 where none is
-    described. Of white noise of an angle up to a frequency F the part of its second derivative is (2πF)²/√5."""
+    """Return the rotor acceleration's noise, as a current, over the current's noise; 0 if none is described.
+
+    The second derivative of an angle's white noise up to a frequency F is (2πF)²/√5 times as large.
+    """
     sensors = joint.sensors
     if not sensors.motor_current.noise:
         return 0.0
@@ -414,19 +415,21 @@ def shaken(joint: Joint) -> float:
 
 
 _READ = 0.1
-"""Part of the encoders' counts that many samples in motion still tell. On the test joint, without a current, friction that winds
-it up by 0.2 to 0.7 counts was found in 14 of 14 draws, if not always told from one of which it is a special case."""
-_DRAWS = 3  # of a cause: one may happen to do nothing
+"""Resolution of many samples in motion, in encoder counts. On the test joint, without a current, friction that winds it up by 0.2
+to 0.7 counts was found in 14 of 14 draws."""
+_DRAWS = 3  # of a cause, as one may have no effect
 _TRIED = (
     State(3.0, 40.0, 2.99, 40.0, 0.9, 0.4, 1e-3, 2e-5, 0.5, 4.0, 35.0),
     State(-95.0, -25.0, -95.02, -25.0, -1.1, -0.25, -1e-3, -3e-5, -0.7, 7.0, 45.0),
 )
-"""States in which it is seen what a cause changes: sliding both ways, loaded, warm, far to either side."""
+"""States that show the changes of a cause: sliding in both directions, loaded, warm, far from zero."""
 
 
 def in_drive_alone(cause: Cause, joint: Joint, both_encoders: bool = True) -> bool:
-    """Whether a cause changes what current the drive needs, and nothing else that is measured: the motor's own do, and friction
-    where there is but one encoder. With both it shows in how far it winds the wave generator up."""
+    """Return whether a cause affects the motor current alone: motor causes, and friction with one encoder.
+
+    With both encoders, friction changes the wind-up of the wave generator.
+    """
     rng = np.random.default_rng(0)
     before = joint.record()
     p = before[0]
@@ -439,7 +442,7 @@ def in_drive_alone(cause: Cause, joint: Joint, both_encoders: bool = True) -> bo
         if any(p[name] != q[name] for name in ("Jl", "link_delay", "flexible_share")):
             return False
         for state in _TRIED:
-            if not np.allclose(_beside_the_drive(state, p), _beside_the_drive(state, q), rtol=1e-9, atol=0.0):
+            if not np.allclose(_other_readings(state, p), _other_readings(state, q), rtol=1e-9, atol=0.0):
                 return False
             if both_encoders and abs(_rotor_position(state, q) - _rotor_position(state, p)) > _READ * counts:
                 return False
@@ -447,8 +450,8 @@ def in_drive_alone(cause: Cause, joint: Joint, both_encoders: bool = True) -> bo
     return drive
 
 
-def _beside_the_drive(state: State, p: np.void) -> list[float]:
-    """Torsion's torque, link's torque and the readings of encoders and torque sensor in a state."""
+def _other_readings(state: State, p: np.void) -> list[float]:
+    """Return torsion torque, link torque, and readings of encoders and torque sensor in a state."""
     t = dynamics.transmission(state, p)
     return [
         t.flexspline_torque, dynamics.link_torque(state, t.load, p), dynamics.read_motor_position(state, p),
@@ -457,7 +460,7 @@ def _beside_the_drive(state: State, p: np.void) -> list[float]:
 
 
 def _rotor_position(state: State, p: np.void) -> float:
-    """Rotor angle [rad] in a steady motion of the link: wound up by what the link and friction take."""
+    """Return the rotor angle [rad] in a steady motion of the link, with wind-up under load and friction."""
     motor, _, _ = dynamics.steady_motion(
         state.link_position, state.link_velocity, 0.0, 0.0, state.time, state.temperature, p
     )
@@ -465,7 +468,7 @@ def _rotor_position(state: State, p: np.void) -> float:
 
 
 def _in_the_drive(state: State, p: np.void) -> float:
-    """Torque that current and motion of the drive mean in a state, the current as it is read."""
+    """Return the drive's transmitted torque in a state, from the measured current."""
     load = dynamics.transmission(state, p).load
     current = dynamics.actual_motor_current(
         state.motor_current, state.motor_position, state.link_position, state.motor_velocity, load, state.time, p
@@ -475,7 +478,7 @@ def _in_the_drive(state: State, p: np.void) -> float:
 
 
 def _positions(recording: Recording, N: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotor and link angle [rad], shape (n,) each: of an encoder that is not there, by the gear ratio."""
+    """Return rotor and link angle [rad], shape (n,) each; a missing one by the gear ratio."""
     motor, link = (recording.columns.get(name) for name in POSITIONS)
     rotor = motor if motor is not None else N * recording["link_position"]
     return rotor, link if link is not None else rotor / N
@@ -496,17 +499,17 @@ def _rotor_range(s: RecordingSummary, N: float) -> tuple[float, float]:
 
 
 def _load(recording: Recording, joint: Joint) -> np.ndarray:
-    """Joint torque [N·m], shape (n,): measured, or what the drive's reading asks for without friction."""
+    """Return the joint torque [N·m], shape (n,): measured, or of the drive without friction."""
     if "joint_torque" in recording:
         return recording["joint_torque"]
     N, Kt = joint.numbers["N"].value, joint.numbers["Kt"].value
-    if "motor_current" in recording:  # which is read where both are there
+    if "motor_current" in recording:  # takes precedence
         return N * Kt * recording["motor_current"]
     return N * recording["motor_torque"]
 
 
 def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:
-    """Velocity of a position at the samples, shape (n,) [rad/s]; of segments too short to be smoothed, zero."""
+    """Return the velocity of a position, shape (n,) [rad/s]; zero in segments that are too short to smooth."""
     v = np.zeros(len(position))
     pieces = (
         slice(b, min(b + _BLOCK, part.stop))
@@ -523,7 +526,7 @@ def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:
 
 
 def _turning_points(position: np.ndarray) -> list[float]:
-    """Turning points of a motion, ends included: shorter ways than `_REVERSAL` do not count."""
+    """Return turning points of a motion, with both ends; moves shorter than `_REVERSAL` do not count."""
     points = [float(position[0])]
     extreme, direction = float(position[0]), 0
     for x in (x for begin in range(0, len(position), _BLOCK) for x in position[begin : begin + _BLOCK].tolist()):

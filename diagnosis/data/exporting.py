@@ -2,8 +2,8 @@
 
 | topic | message |
 |---|---|
-| `/joint_states` | `sensor_msgs/JointState`: `motor` (motor side) and `link` as far as they are measured, an arm's other joints |
-| `/wrench` | `geometry_msgs/WrenchStamped`, of the six axes those that are there |
+| `/joint_states` | `sensor_msgs/JointState`: `motor` (motor side) and `link` if measured, an arm's other joints |
+| `/wrench` | `geometry_msgs/WrenchStamped`, the measured axes |
 | `/temperature` | `sensor_msgs/Temperature` |
 | `/CHANNEL` | `std_msgs/Float64`: motor current [A], torques [N·m], command [rad] |
 

@@ -2,7 +2,7 @@
 
     value = sign · scale · unit · column  (or the sum of several such, or the integral of a speed)  − zero + offset
 
-`docs/importing.md` describes the mapping file. The mappings in `layouts/` are shipped and go by name.
+`docs/importing.md` describes the mapping file. The mappings in `layouts/` are shipped and have names.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "N": ("N", 1.0), "°C": ("°C", 1.0), "degC": ("°C", 1.0),
     "1": ("1", 1.0),
 }  # fmt: skip
-"""Unit of a foreign column: SI unit and factor; `counts` per revolution are stated beside it."""
+"""Unit of a foreign column: SI unit and factor; `counts` per revolution have their own field."""
 
 
 ColumnName = Annotated[
@@ -69,22 +69,18 @@ class Zero(Strict):
     """Only where the difference is larger, SI."""
 
     def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
-        """What the channel is compared with, SI, shape (n,)."""
+        """Return the compared column, SI, shape (n,)."""
         return self.scale * _factor(self.unit, self.counts) * table[self.column]
 
     def away(self, values: np.ndarray, table: dict[str, np.ndarray]) -> float:
-        """By how much a channel, shape (n,), differs from what it is compared with, SI."""
+        """Return the difference of a channel, shape (n,), from the compared column, SI."""
         off = values - self.read(table)
         return float(off[0] if self.at == "first" else np.mean(off))
 
 
-class SourceColumn(Strict):
-    """One foreign column, made SI: sign · scale · unit · column. `scale` may carry a unit (a lever, A per N·m)."""
+class _Reading(Strict):
+    """Properties of a foreign column's numbers."""
 
-    column: ColumnName
-    """Name in the log; of a message, topic and field."""
-    unit: str
-    """As the log has it: `deg`, `rpm`, `counts`, …"""
     scale: float = 1.0
     """Factor; may carry a unit."""
     sign: Literal[1, -1] = 1
@@ -92,7 +88,16 @@ class SourceColumn(Strict):
     counts: Annotated[int, Field(gt=1, le=2**40)] | None = None
     """Per revolution, for unit `counts`."""
     wraps: bool = False
-    """Whether the reading starts again after a revolution; jumps of more than half a one are undone."""
+    """Whether the angle starts again after a turn; jumps of more than half a turn are undone."""
+
+
+class SourceColumn(_Reading):
+    """One foreign column in SI: sign · scale · unit · column. `scale` may have a unit (a lever, A per N·m)."""
+
+    column: ColumnName
+    """Name in the log; of a message, topic and field."""
+    unit: str
+    """Unit in the log: `deg`, `rpm`, `counts`, …"""
 
     @model_validator(mode="after")
     def _known_unit(self) -> SourceColumn:
@@ -109,29 +114,21 @@ class SourceColumn(Strict):
         return self.sign * self.scale * values
 
     def makes(self, unit: str) -> bool:
-        """Whether it is in that unit, SI, or has a factor that may make it so: one that is not 1, or a lever that is stated."""
+        """Return whether it has that SI unit, or a factor that may convert to it."""
         lever = (UNITS[self.unit][0], unit) == ("N", "N·m") and "scale" in self.model_fields_set
         return UNITS[self.unit][0] == unit or self.scale != 1.0 or lever
 
 
-class ChannelSource(Strict):
+class ChannelSource(_Reading):
     """A column of a recording: one foreign column with its unit, or the `sum` of several; then offset and zero.
 
-    `integrate`: the column is a speed, and its integral the channel. `optional`: taken where the log has the column.
+    `integrate`: the column is a speed, and its integral the channel. `optional`: used if the log has the column.
     """
 
     column: ColumnName | None = None
     """Name in the log; of a message, topic and field."""
     unit: str | None = None
-    """As the log has it: `deg`, `rpm`, `counts`, …"""
-    scale: float = 1.0
-    """Factor; may carry a unit."""
-    sign: Literal[1, -1] = 1
-    """−1 where the log counts the other way."""
-    counts: Annotated[int, Field(gt=1, le=2**40)] | None = None
-    """Per revolution, where the unit is `counts`."""
-    wraps: bool = False
-    """Whether the angle starts anew every turn."""
+    """Unit in the log: `deg`, `rpm`, `counts`, …"""
     sum: list[SourceColumn] | None = None
     """Several columns that make one channel."""
     rate: Annotated[float, Field(gt=0, le=1e6)] | None = None
@@ -150,9 +147,7 @@ class ChannelSource(Strict):
         own = self.model_fields_set & set(SourceColumn.model_fields)
         if self.rate is not None:
             if own or self.sum is not None:
-                raise ValueError(
-                    "rate: expected neither column nor sum with it, as it is for a time that was not logged"
-                )
+                raise ValueError("rate: expected without column and sum, for a log without time")
         elif self.sum is not None:
             if own:
                 raise ValueError(f"expected either column or sum, got sum and {', '.join(sorted(own))}")
@@ -203,8 +198,7 @@ class ChannelSource(Strict):
 
 
 class PayloadSpec(Strict):
-    """A mass that hung on the link: `mass` [kg], `distance` of its centre from the axis [m], `angle` of it against the link's own
-    centre of mass [rad], `inertia` about its own centre [kg·m²]."""
+    """A payload on the link."""
 
     mass: Annotated[float, Field(ge=0)]
     """[kg]."""
@@ -216,7 +210,7 @@ class PayloadSpec(Strict):
     """About its own centre [kg·m²]."""
 
     def on(self, link: Mounting) -> Mounting:
-        """The link with it: m g d at its angle adds to the gravity moment as a vector, m d² and its own to the inertia."""
+        """Return the link with the payload: m g d adds to the gravity moment as a vector, m d² and `inertia` to the inertia."""
         moment = self.mass * GRAVITY * self.distance
         whole = link.gravity_moment + moment * np.exp(1j * self.angle)
         turned = float(np.angle(whole)) if abs(whole) > 0 else 0.0
@@ -228,15 +222,14 @@ class PayloadSpec(Strict):
 
 
 class LogLoad(Strict):
-    """What differs in some logs: what hung on the joint (`link` or `mounting` instead of the mapping's, `payload` beside it), its
-    arm, whether it was pushed."""
+    """Differences of some logs: `link` or `mounting` instead of the mapping's, an added `payload`, `arm`, external torque."""
 
     link: Mounting | None = None
-    """What hung on the output, instead of the mapping's."""
+    """Load of the joint, instead of the mapping's."""
     mounting: str | None = None
     """The same by its name in the joint's description."""
     payload: PayloadSpec | None = None
-    """A mass beside it."""
+    """Added to the link."""
     arm: ArmSpec | None = None
     """Another arm."""
     external_torque: External | None = None
@@ -257,7 +250,7 @@ class Layout(Strict):
     joint: str
     """Name of a shipped joint, or path of its file."""
     link: Mounting | None = None
-    """What hung on the output; or else `mounting` or `arm`."""
+    """Load of the joint; alternatively `mounting` or `arm`."""
     mounting: str | None = None
     """The same by its name among the `mountings` of the joint's description."""
     arm: ArmSpec | None = None
@@ -271,7 +264,7 @@ class Layout(Strict):
     skip: Annotated[int, Field(ge=0)] = 0
     """Lines of a text file or sheet before everything else; comments and titles are found."""
     header: Literal["none"] | None = None
-    """`none`: columns go by number, 0, 1, …, whatever the first line says."""
+    """`none`: columns are numbered, 0, 1, …; there is no header."""
     interleaved: dict[str, Annotated[int, Field(ge=1, le=1000)]] = {}
     """How many columns take turns in a file of one number a line, by patterns of file names."""
     episodes: ColumnName | None = None
@@ -297,9 +290,7 @@ class Layout(Strict):
         if any(channel.rate is not None for name, channel in self.columns.items() if name != "time"):
             raise ValueError("columns: expected rate only of time")
         if self.columns["time"].integrate:
-            raise ValueError(
-                "columns.time.integrate: expected false, as it is over this column that others are integrated"
-            )
+            raise ValueError("columns.time.integrate: expected false, as other columns are integrated over time")
         check_channels("columns", self.columns)
         measured = "external_torque" in self.columns
         if measured != (self.external_torque == "measured"):
@@ -308,7 +299,7 @@ class Layout(Strict):
             own = other.model_fields_set - {"external_torque"}
             if self.arm is not None and own - {"arm"}:
                 raise ValueError(
-                    f"logs.{pattern}: expected arm, as the mapping has it (a payload stands in its MJCF), got "
+                    f"logs.{pattern}: expected arm, as in the mapping (add a payload to its MJCF), got "
                     f"{' and '.join(sorted(own))}"
                 )
             if self.arm is None and other.arm:
@@ -338,11 +329,11 @@ class Layout(Strict):
         return self
 
     def of(self, log: Path, joint: str | None = None) -> Layout:
-        """The mapping as it holds for one log, with what hung on the joint as `link` or `arm`.
+        """Return the mapping for one log, with its load as `link` or `arm`.
 
         Args:
           log: its path.
-          joint: name of, or path to, the joint whose mountings are meant; the mapping's by default, beside it.
+          joint: name or path of the joint with the mountings; by default the mapping's.
 
         Raises:
           InputError: several patterns fit its name; a joint that there is not, or that has no such mounting.
@@ -529,7 +520,7 @@ def _found(layout: Layout, log: Log) -> tuple[dict[str, ChannelSource], dict[str
                 f"{log.missing(column) or nearest(column, log.names)}"
             )
         if log.names.count(theirs) > 1:
-            raise InputError(f"{path}: column {column!r}: expected once, stands {log.names.count(theirs)} times")
+            raise InputError(f"{path}: column {column!r}: expected once, found {log.names.count(theirs)} times")
         columns[column] = theirs
     for channel in channels.values():
         for part in channel.parts:

@@ -23,7 +23,7 @@ class Log:
     """Of columns, in small letters, where the log has a row of them."""
 
     def find(self, column: str) -> str | None:
-        """The log's name of a column: the same, or the only one that ends so; `a.b` and `a[0]` are `a/b` and `a/0`."""
+        """Return the log's name of a column: the same, or the only one with this ending; `a.b` and `a[0]` are `a/b` and `a/0`."""
         if column in self.names:
             return column
         plain = {name: _plain(name) for name in self.names}

@@ -100,7 +100,7 @@ def _array(values: list) -> np.ndarray:
 
 
 def _labelled(name: str, leaf: np.ndarray, around: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
-    """An array whose elements have names in a list next to it as columns of these names; any other as it is."""
+    """Split an array into columns if a list next to it names its elements; return other arrays unchanged."""
     if leaf.ndim == 2 and leaf.dtype.kind not in "US":
         for key in (*LABELS, "columns"):
             found = around.get(key)
@@ -254,7 +254,7 @@ def _excel(source: Source, wanted: set[str], form: TextForm) -> Any:
 
 
 def _without_end(row: list[str]) -> list[str]:
-    """A row of cells; one that has its first alone is a title."""
+    """Return a row of cells; a row with one cell is a title."""
     return row if any(row[1:]) or len(row) == 1 else row[:1] if any(row) else []
 
 
@@ -274,12 +274,12 @@ def _json(source: Source, wanted: set[str], form: TextForm) -> Any:
                 if i < len(lines) - 1 or i < 2:
                     raise ValueError(first_line(error)) from None
         if len(entries) < len(lines):
-            return _Noted(entries, "the last line is left out, as it is cut short")
+            return _Noted(entries, "the last line is left out: it is incomplete")
         return entries
 
 
 def _split_table(data: Any) -> Any:
-    """A table of names and rows (`columns` and `data`), or of rows alone, by columns; anything else as it is."""
+    """Convert a table of rows, with names (`columns` and `data`) or without, to columns; return other data unchanged."""
     if isinstance(data, dict) and isinstance(data.get("columns"), list) and isinstance(data.get("data"), list):
         columns = [c.get("name", "") if isinstance(c, dict) else str(c) for c in data["columns"]]
         return dict(zip(columns, map(list, zip(*data["data"], strict=False)), strict=False))
@@ -379,7 +379,7 @@ class _Text(Log):
         self.names = self._table.names
         self.units = self._table.head.units
         self.note = (
-            f"the last line is left out, as it is cut short ({self._table.torn[:40]!r})" if self._table.torn else ""
+            f"the last line is left out: it is incomplete ({self._table.torn[:40]!r})" if self._table.torn else ""
         )
         self._turns = next((k for pattern, k in form.interleaved.items() if fnmatchcase(path.name, pattern)), 0)
         if self._turns:
@@ -539,7 +539,7 @@ def _unpacked(path: Path, start: bytes) -> tuple[Source, str]:
 
 
 def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | None = None) -> Log:
-    """Open a log by what it is.
+    """Open a log of any supported format.
 
     Args:
       path: of the file, of a ROS 2 bag's folder, or of a folder of files.
@@ -547,7 +547,7 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
       form: what is stated of it.
 
     Raises:
-      InputError: one that cannot be read.
+      InputError: an unreadable log.
     """
     wanted, form = None if sources is None else set(sources), form or LogForm()
     source: Source = path
@@ -581,7 +581,7 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
             log = Arrays(path, noted.tree, noted.note)
         except InputError:
             raise
-        except Exception as error:  # whatever damaged bytes do to a library
+        except Exception as error:  # of a library, for damaged files
             raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error
         if not log.names:
             raise InputError(f"{path}: expected arrays or columns of numbers in the {what}, found none")

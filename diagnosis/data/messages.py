@@ -202,7 +202,7 @@ def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: Set[str] | 
             continue
         values = one.values.setdefault(name, [np.nan] * (len(one.times) - 1))
         values.append(_number(message, name.split("/")))
-        if np.isfinite(values[-1]):  # whoever else publishes on the topic may have been the first
+        if np.isfinite(values[-1]):  # another publisher may have been first
             one.names[name] = None
 
 
@@ -214,7 +214,7 @@ def _time(message: Any, logged: Any) -> int:
         next((x for n in ("nanosec", "nsec") if (x := _inside(stamp, n)) is not None), None),
     ]
     stamped = 0 if None in parts else _nanoseconds(parts)
-    return stamped or _nanoseconds([0, logged])  # a stamp of zero is one that nobody set
+    return stamped or _nanoseconds([0, logged])  # a stamp of zero is unset
 
 
 def _nanoseconds(parts: list[Any]) -> int:
@@ -325,7 +325,7 @@ def _decoder(factory: Any, path: Path, topic: str, encoding: str, schema: Any) -
                 found = factory.decoder_for(encoding, schema)
             if found is not None:
                 return found
-    except Exception as error:  # whatever a strange definition does to it
+    except Exception as error:  # of the parser
         raise InputError(f"{path}: topic {topic}: not a readable definition of {schema.name}: {error}") from error
     kind = f"{encoding or 'no encoding'}, defined in {schema.encoding or 'nothing'}" if schema is not None else encoding
     raise InputError(f"{path}: topic {topic}: expected messages of ROS 2 (cdr, ros2msg) or JSON, got {kind}")
@@ -357,7 +357,7 @@ def _mcap(path: Path, wanted: Wanted) -> Found:
                     yield channel.topic, message.log_time, _decoded(path, channel.topic, decode, message.data)
         except InputError:
             raise
-        except Exception as error:  # whatever damaged bytes do to it
+        except Exception as error:  # of a library, for damaged files
             raise InputError(f"{path}: not a readable MCAP file: {first_line(error)}") from error
 
 
@@ -383,5 +383,5 @@ def _bag(path: Path, wanted: Wanted) -> Found:
                 yield connection.topic, logged, reader.deserialize(data, connection.msgtype)
     except InputError:
         raise
-    except Exception as error:  # whatever damaged bytes do to it
+    except Exception as error:  # of a library, for damaged files
         raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error

@@ -1,11 +1,12 @@
-"""What people get wrong in their data, each named with the change that mends it: before any physics.
+"""Find mistakes in a measurement, each with its correction, before any fit.
 
-Single samples come first (`samples`), then whole columns: one loop applies every entry of the table (`changes`) to the channels
-and scores what it makes of their relations (`plausibility`). It keeps the entries that gain most, and looks again, as a first
-step may only look good. Last come columns that are late (`lateness`).
+1. Single samples (`samples`).
+2. Whole columns: apply every entry of the table (`changes`) to the channels, score the relations of the result (`plausibility`),
+   keep the best states, and repeat.
+3. Time offsets (`time_offsets`).
 
-A confidence is absolute: above 0.5 only where the mended channels fit the joint, and where no description that is wrong by a few
-times explains the channels without a change.
+A confidence above 0.5 requires that the corrected channels fit the joint, and that no description within a few times the stated
+one explains the original channels.
 """
 
 from __future__ import annotations
@@ -23,73 +24,70 @@ from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording, check_channels, with_arm_load
 from ...models.signals import DRIVING, POSITIONS
 from .changes import GRAVITY, NO_CHANGE, Mistake, Table, expected_sign, shrinkage, side, undone
-from .lateness import late_columns
 from .plausibility import SETTINGS as AGREEMENT
 from .plausibility import Plausibility, RelationFit, SmoothedChannels, motion_of
 from .samples import bridged, still_commands, unwrapped, wrong_samples
+from .time_offsets import late_columns
 
 __all__ = ["NO_CHANGE", "Mistake", "find_mistakes", "mended", "mended_if_possible", "require_sound"]
 
 
 @dataclass(frozen=True)
 class ClaimSettings:
-    """When a change is believed; in log likelihood where nothing else is said.
+    """When a change is accepted; in log likelihood unless stated.
 
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
     """
 
-    sure: float = 7.0  # gain beyond its price from which on a change is believed
-    at_odds: float = 0.1  # by how much changes may make one of these worse
+    sure: float = 7.0  # gain beyond its price above which a change is accepted
+    at_odds: float = 0.1  # by how much a change may worsen a misfit
     wrong: float = -0.6  # misfit of a relation below which the channels do not fit
-    hopeless: float = -5.0  # misfit below which a relation does not hold at all, by however much
-    lasting: float = 4.0  # of recordings whose misfit says that nothing fits [s]
-    worse: float = -3.0  # loss in a recording from which on a change is not one of the whole measurement
-    much_worse: float = -9.0  # where the recording's channels go together with it, or better than before
-    one_of_several: float = 4.0  # price of a mistake that not all recordings have, more
-    beyond: float = 15.0  # price of a description that would have to be wrong by more than a few times
+    hopeless: float = -5.0  # misfit below which a relation is invalid
+    lasting: float = 4.0  # least duration of a recording whose misfit counts [s]
+    worse: float = -3.0  # loss in a recording below which a change is not of all recordings
+    much_worse: float = -9.0  # the same if the recording's channels fit with the change, or better than before
+    one_of_several: float = 4.0  # added price of a mistake that not all recordings have
+    beyond: float = 15.0  # price of a description that is wrong by more than a few times
     kept: int = 3  # states that are kept
     most: int = 3  # changes on top of each other
-    least_motion: float = 0.1  # of the link [rad], which angles in another unit must still show
-    rest: float = 0.5  # of a recording's samples that stuck and clipped ones must leave for its channels to be compared
+    least_motion: float = 0.1  # least motion of the link [rad] after a change of the angles' unit
+    rest: float = 0.5  # least share of valid samples of a recording to compare its channels
 
 
 SETTINGS = ClaimSettings()
 _TURN = 2 * np.pi
 _UNSURE = 0.5  # largest confidence where no change makes the channels fit
-_BESIDE = ("position_command",)  # columns that no balance takes
+_OPTIONAL = ("position_command",)  # columns that no balance uses
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
 _SCALES = (
     ("kelvin", (200.0, 500.0), 1.0, -273.15),
     ("degrees Fahrenheit", (120.0, 200.0), 5 / 9, -160 / 9),
-)  # of temperatures that are none of a gear in °C: what they are, between which values, factor and offset
-_NEAR_ZERO = 0.05  # of what a torque mostly is
-_APART, _SMOOTH = (
-    20,
-    0.3,
-)  # samples, and second differences over first ones, below which a log is sampled faster than it moves
+)  # wrong units of a temperature: name, range of values, factor, offset
+_NEAR_ZERO = 0.05  # of a torque's usual size
+# samples, and second over first differences below which a log is sampled faster than it moves
+_APART, _SMOOTH = 20, 0.3
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices, for which threads are but a burden
-@np.errstate(all="ignore")  # units may make anything of a number
+@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices
+@np.errstate(all="ignore")  # wrong units overflow
 def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
-    """Find the mistakes in a measurement of a joint, in the order in which `mended` undoes them.
+    """Find the mistakes in a measurement of a joint, in the order in which `mended` corrects them.
 
-    A cause of ordinary size (`spec/recording.md`), tolerances and what is imperfect in every real joint are none.
+    Causes of ordinary size, tolerances and imperfections of real joints are not mistakes.
 
     Args:
-      measurement: whose recordings with the output bolted to the bench are passed over: there neither encoder says what the other
-        should.
-      joint: its description, which may be wrong by a few times.
+      measurement: recordings with the output bolted to the bench are skipped.
+      joint: the description, which may be wrong by a few times.
 
     Returns:
-      All that are found, severe or not, sure or not.
+      All mistakes found, severe or not, sure or not.
     """
     moving = tuple(r for r in measurement.recordings if not r.link.locked)
     found = list[Mistake]()
     second = _time_unit(moving)
     if second != 1.0:
         said = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[second]
-        found.append(Mistake("unit", "time", "", f"{said} taken for seconds", 0.99, factor=second))
+        found.append(Mistake("unit", "time", "", f"{said}, logged as seconds", 0.99, factor=second))
     recordings = _apply(moving, joint, found)
     for recording, still in zip(recordings, still_commands(recordings, joint), strict=True):
         found += [*_temperature(recording), *wrong_samples(recording, joint), *still]
@@ -98,19 +96,19 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     further: list[Mistake] = []
     try:
         recordings = _apply(moving, joint, found)
-    except InputError:  # what does not move is all there is
+    except InputError:  # every channel is stuck
         recordings = ()
     if recordings:
-        # Of one in which next to nothing but rest is left, the others say more.
+        # Skip recordings with few valid samples, if there are others.
         rest = [r for r, a in zip(recordings, moving, strict=True) if len(r.time) > SETTINGS.rest * len(a.time)]
         recordings = tuple(rest) or recordings
         further = _of_columns(recordings, joint)
-    told = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))
-    return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in told)
+    named = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))
+    return tuple(replace(m, severe=m.severe and m.column not in _OPTIONAL) for m in named)
 
 
 def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
-    """What is wrong with whole columns of recordings whose samples are right."""
+    """Find mistakes of whole columns; the samples are correct."""
     search = _Search(recordings, joint)
     start, end = search.start, search.best()
     if _not_followed(start.fits, end.fits):
@@ -121,9 +119,9 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     if not mends and before > SETTINGS.wrong:
         end = start
     about = {c for m, _ in end.found for c in (m.column, *m.also)}
-    # A command that a stop or a push keeps the joint from following says nothing of the other columns.
+    # A stop or a push may keep the joint from following its command.
     ignored = [] if "position_command" in about or not mends else ["command"]
-    # The integral of a velocity drifts, and a sign that is lost is only about what the description says.
+    # The integral of a velocity drifts, and a lost sign is only approximate.
     ignored += [
         "encoders" if m.name == "velocity" else m.column
         for m, _ in end.found
@@ -138,30 +136,30 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
             for m, having in late_columns(_apply(recordings, joint, others), joint)
             for one in _where(m, having, recordings)
         ]
-    except InputError:  # the only torque has lost its sign
+    except InputError:  # no signed torque is left
         late = []
-    # Which column is late all relations together know better; the search had to know that one is.
+    # All relations together determine the late column better than the search.
     found = [*others, *(late or [m for m in found if m.name == "late"])]
     beyond = sum(map(_beyond, start.fits, end.fits)) > 0.5 * len(recordings)
     if not late and (after < SETTINGS.wrong or beyond or not mends):
-        # What mends most leaves channels that cannot be of this joint: it may be something else.
+        # The best change does not make the channels fit the joint.
         found = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in found]
     return found
 
 
 _Fits = Sequence[dict[str, RelationFit]]
-"""Relations of every recording; changes leave the same ones, but for a torque that goes under another name."""
+"""Relations of every recording."""
 
 
 @dataclass(frozen=True)
 class _State:
-    """Changes made so far, each with the recordings that have it, and what became of every recording's channels."""
+    """Changes so far, each with its recordings, and the resulting channels of every recording."""
 
     motions: tuple[SmoothedChannels | None, ...]
     fits: tuple[dict[str, RelationFit], ...]
     found: tuple[tuple[Mistake, tuple[int, ...]], ...] = ()
     price: float = 0.0
-    credit: float = 0.0  # part of it, below zero, that makes up for larger torques and a description that was beyond
+    credit: float = 0.0  # negative part of the price
 
     @property
     def score(self) -> float:
@@ -169,10 +167,10 @@ class _State:
 
 
 class _Search:
-    """The changes that a measurement's channels ask for.
+    """Beam search for the changes that make the channels fit.
 
     Attributes:
-      start: the channels as they are.
+      start: state without changes.
     """
 
     def __init__(self, recordings: Sequence[Recording], joint: Joint):
@@ -194,7 +192,7 @@ class _Search:
         self.start = _State(motions, fits)
 
     def best(self) -> _State:
-        """The state that nothing improves enough."""
+        """Return the state that no further change improves enough."""
         states, best = [self.start], self.start
         for depth in range(SETTINGS.most):
             looked = [s for s in states if any(map(_suspicious, s.fits)) or (depth == 0 and _vague(s.fits))]
@@ -206,19 +204,19 @@ class _Search:
         return best
 
     def _without(self, m: Mistake, i: int, state: _State) -> SmoothedChannels | None:
-        """A recording's channels without one mistake more; the same where it has none of its columns."""
+        """Return a recording's channels without one more mistake; unchanged if it lacks the columns."""
         motion = state.motions[i]
         touched = m.name == "swapped" or m.column in ("time", GRAVITY)
         if motion is None or not (touched or any(c in motion for c in (m.column, *m.also))):
             return motion
         if self._carried[i] and {m.column or "link_position", *m.also} & set(POSITIONS):
-            # What the arm in motion puts on the link depends on where that is.
+            # The arm's load depends on the link's angle.
             mine = [one for one, having in state.found if i in having]
             try:
                 return motion_of(_mend(self._recordings[i], self._joint, [*mine, m]))
             except InputError:
                 return motion
-        if m.name == "sign" and m.lost:  # as the description has it: a magnitude that is smoothed does not come to zero
+        if m.name == "sign" and m.lost:  # from the description
             r, mine = self._recordings[i], [one for one, having in state.found if i in having]
             sign = expected_sign(motion.channels, self._N, self._p[i])
             x = r[m.column] * np.sign(np.interp(r.time - r.time[0], motion.time, sign))
@@ -227,7 +225,7 @@ class _Search:
         return replace(motion, time=time, channels=channels)
 
     def _steps(self, state: _State) -> list[_State]:
-        """All states one change further that are better than this one by more than that change's price."""
+        """Return all states with one more change whose gain exceeds its price."""
         steps, done = list[_State](), {(m.name, m.column) for m, _ in state.found}
         old = state.fits
         for m in self._table.entries(state.motions):
@@ -255,14 +253,13 @@ class _Search:
             everywhere = all(gain > least for gain, least in zip(gains, bears, strict=True))
             least = m.price + SETTINGS.sure
             chosen = [i for i, g in enumerate(gains) if everywhere or g > least]
-            # Where it is so in one recording, that a torque looks like nothing is no reason against it in another whose channels
-            # do not go together otherwise.
+            # A change found in one recording holds in another whose channels fit only with it, even if torques shrink.
             chosen = sorted({*chosen, *(
                 i for i, (a, b) in enumerate(zip(old, new, strict=True))
                 if chosen and more[i] > least and _suspicious(a) and not _suspicious(b)
             )})  # fmt: skip
             if not chosen or not self._leaves_motion(m, [motions[i] for i in chosen], [new[i] for i in chosen]):
-                continue  # a link that hardly moves asks for no torque: that suits any log
+                continue  # a link at rest fits any torque
             everywhere = all(i in chosen or unchanged for i, unchanged in enumerate(same))
             price = m.price if everywhere else (m.price + SETTINGS.one_of_several) * len(chosen)
             gain = sum(gains[i] for i in chosen) - price
@@ -279,12 +276,11 @@ class _Search:
                 )
             )
         for column in POSITIONS:
-            steps = self._units_told_apart(steps, column)
+            steps = self._best_unit(steps, column)
         return steps
 
     def _leaves_motion(self, m: Mistake, mended: Sequence[SmoothedChannels | None], fits: _Fits) -> bool:
-        """Whether channels without the mistake still show a motion, where the change makes angles smaller that no other encoder
-        agrees with."""
+        """Return whether corrected angles still move; always true if the other encoder agrees with them."""
         if m.name != "unit" or m.factor is None or abs(m.factor) >= 1.0:
             return True
         for motion, relations in zip(mended, fits, strict=True):
@@ -298,13 +294,10 @@ class _Search:
                 return True
         return False
 
-    def _units_told_apart(self, steps: Sequence[_State], column: str) -> list[_State]:
-        """Steps of which those that take a column alone for counts (whole numbers: for an angle in any unit) are one, as sure as
-        what else it may be lets it be.
+    def _best_unit(self, steps: Sequence[_State], column: str) -> list[_State]:
+        """Reduce the steps that change the unit of one column to the best one, and limit its confidence by the others.
 
-        Counts of a coarser encoder are a larger motion, which rests less and of which more is known: that tells a motion from
-        next to none, but not one from another half as large. Of those whose readings fit about as well the described encoder's
-        it is; whole numbers in another unit than counts would be strange.
+        Units that differ by a factor of two fit about as well. The described encoder's counts are preferred among them.
         """
         whole = column in self._table.whole
 
@@ -327,28 +320,28 @@ class _Search:
 
 
 def _folded(x: np.ndarray) -> bool:
-    """Whether a torque is never below zero and comes down to it as often as it would cross it."""
+    """Return whether a torque is never negative, but touches zero often."""
     near = _NEAR_ZERO * float(np.quantile(np.abs(x), 0.9))
     return bool(x.min() >= 0.0 and np.count_nonzero(x < near) > max(2e-3 * len(x), 4))
 
 
 def _suspicious(fits: dict[str, RelationFit]) -> bool:
-    """Whether a recording's channels do not go together."""
+    """Return whether a recording's channels disagree."""
     return any(fit.suspicious for fit in fits.values())
 
 
 def _vague(fits: _Fits) -> bool:
-    """Whether a residual is not much less than what is allowed."""
+    """Return whether a residual is not much smaller than expected."""
     return any(fit.vague for relations in fits for fit in relations.values())
 
 
 def _beyond(before: dict[str, RelationFit], after: dict[str, RelationFit]) -> bool:
-    """Whether the description would have to be wrong by more than a few times after a change, and not before."""
+    """Return whether a change requires a description that is wrong by more than a few times."""
     return any(fit.at_bound and not (name in before and before[name].at_bound) for name, fit in after.items())
 
 
 def _worst(fits: _Fits) -> float:
-    """Misfit of the relation that fits worst, of two angles half as bad; 0 where there is none."""
+    """Return the misfit of the worst relation, halved for relations of angles; 0 without relations."""
     found = [fit.misfit * (1.0 if name in DRIVING else 0.5) for relations in fits for name, fit in relations.items()]
     return min(found, default=0.0)
 
@@ -358,12 +351,12 @@ def _total(fits: dict[str, RelationFit]) -> float:
 
 
 def _said(fit: RelationFit) -> float:
-    """What readings say of a relation; of one that does not hold at all, as the other column is wrong, too, no more than that."""
+    """Return the log likelihood of a relation's readings, limited if another column is wrong, too."""
     return fit.readings * SETTINGS.hopeless / min(fit.misfit, SETTINGS.hopeless)
 
 
 def _gained(before: _Fits, after: _Fits, but: str = "") -> float:
-    """By how much better the readings of all relations but one fit, in log likelihood."""
+    """Return the gain in log likelihood of all relations except one."""
     return sum(
         sum(fit.readings for name, fit in fits.items() if name != but) * sign
         for sign, all_of_them in ((1, after), (-1, before))
@@ -372,20 +365,14 @@ def _gained(before: _Fits, after: _Fits, but: str = "") -> float:
 
 
 def _not_followed(before: _Fits, after: _Fits) -> bool:
-    """Whether changes mend nothing but what the command says, and the link does not follow it all the same: a stop holds it, or
-    the drive's limit does."""
+    """Return whether only the command fits better: a stop or the drive's limit may keep the link from following."""
     commands = [(old["command"], new["command"]) for old, new in zip(before, after, strict=True) if "command" in new]
     commanded = any(new.misfit < AGREEMENT.suspicious and new is not old for old, new in commands)
     return commanded and _gained(before, after, but="command") < SETTINGS.sure
 
 
 def _better(before: _State, after: _State) -> bool:
-    """Whether readings fit better than before, in addition to what is known of more of them, and no relation is at odds that was
-    not.
-
-    An angle in turns moves six times as fast: less of it is at rest, where friction may be anything, and of a second in which
-    next to nothing moves that alone once spoke for turns.
-    """
+    """Return whether readings fit better than before and no relation became suspicious."""
     at_odds = any(
         fit.misfit < min(AGREEMENT.suspicious, old[name].misfit - SETTINGS.at_odds)
         for old, new in zip(before.fits, after.fits, strict=True)
@@ -396,8 +383,7 @@ def _better(before: _State, after: _State) -> bool:
 
 
 def _time_unit(recordings: Sequence[Recording]) -> float:
-    """What one unit of time is [s]: samples with gaps between them all, of a motion that hardly changes from one to the next, are
-    no log in seconds, whatever else is wrong with it."""
+    """Return the unit of time [s]. A log with gaps between all samples, but smooth motion, is not in seconds."""
     interval = min((r.interval for r in recordings), default=0.0)
     if interval <= GAP or not all(_sampled_fast(r) for r in recordings):
         return 1.0
@@ -405,38 +391,38 @@ def _time_unit(recordings: Sequence[Recording]) -> float:
 
 
 def _sampled_fast(recording: Recording) -> bool:
-    """Whether a recording's angles are sampled much faster than they move."""
+    """Return whether a recording's angles are sampled much faster than they move."""
     for name in POSITIONS:
         x = recording.columns.get(name)
         if x is not None and len(x) > 4 * _APART:
             first = x[_APART:] - x[:-_APART]
             second = first[_APART:] - first[:-_APART]
-            usual = [float(np.quantile(np.abs(d), 0.95)) for d in (first, second)]  # a gap's jump left aside
+            usual = [float(np.quantile(np.abs(d), 0.95)) for d in (first, second)]  # ignores jumps at gaps
             if usual[1] < _SMOOTH * usual[0]:
                 return True
     return False
 
 
 def _temperature(recording: Recording) -> list[Mistake]:
-    """A temperature that no gear has in °C: kelvin, or degrees Fahrenheit."""
+    """Find a temperature in kelvin or degrees Fahrenheit."""
     if "temperature" not in recording:
         return []
     usual = float(np.median(recording["temperature"]))
     return [
-        Mistake("unit", "temperature", recording.name, f"{said} taken for °C", 0.99, factor=factor, offset=offset)
+        Mistake("unit", "temperature", recording.name, f"{said}, logged as °C", 0.99, factor=factor, offset=offset)
         for said, (low, high), factor, offset in _SCALES
         if low < usual < high
     ]
 
 
 def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
-    """Refuse a measurement of whose motion and current no estimate means anything.
+    """Refuse a measurement with invalid motion or current.
 
     Returns:
-      Mistakes in columns that no estimator reads: what is compared with them means nothing.
+      Severe mistakes in columns that estimators do not read.
 
     Raises:
-      InputError: the first severe mistake in a column that estimators read, and the change that mends it.
+      InputError: the first severe mistake in a column that estimators read, with its correction.
     """
     found = find_mistakes(measurement, joint)
     severe = [m for m in found if m.severe]
@@ -446,15 +432,15 @@ def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
             if not m.sure:
                 raise InputError(f"{where}: {m.unmended}")
             if mended_if_possible(measurement, joint, found) is None:
-                raise InputError(f"{where}: {m.description}; without it nothing can be estimated")
+                raise InputError(f"{where}: {m.description}; without this column nothing can be estimated")
             raise InputError(
-                f"{where}: {m.description}, mended by: {m.change}; `{mending(measurement, joint, 'DIR')}` writes it mended"
+                f"{where}: {m.description}, corrected by: {m.change}; `{mending(measurement, joint, 'DIR')}` corrects it"
             )
     return tuple(m for m in severe if m.column in _UNREAD)
 
 
 def mended_if_possible(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement | None:
-    """`mended`, or None where of what is left out too little remains."""
+    """Return `mended`, or None if too few samples are valid."""
     try:
         return mended(measurement, joint, mistakes)
     except InputError:
@@ -462,13 +448,12 @@ def mended_if_possible(measurement: Measurement, joint: Joint, mistakes: Sequenc
 
 
 def mended(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement:
-    """The measurement without those of the mistakes that are sure: columns as they were meant, samples that nothing can mend left
-    out."""
+    """Return the measurement without the mistakes that are sure; invalid samples are left out."""
     return replace(measurement, recordings=_apply(measurement.recordings, joint, [m for m in mistakes if m.sure]))
 
 
 def fixed(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement:
-    """`mended`, with what was changed noted in every recording."""
+    """Return `mended`, with the changes noted in every recording."""
     found = mended(measurement, joint, mistakes)
 
     def noted(r: Recording) -> Recording:
@@ -481,7 +466,7 @@ def fixed(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -
 
 @np.errstate(all="ignore")
 def fits_no_better(before: Measurement, after: Measurement, joint: Joint) -> bool:
-    """Whether the channels of a measurement fit the joint after a change no better than before, and do not fit."""
+    """Return whether a change leaves channels that do not fit the joint, and fit no better than before."""
     misfits = []
     for one in (before, after):
         moving = tuple(r for r in one.recordings if not r.link.locked)
@@ -490,7 +475,7 @@ def fits_no_better(before: Measurement, after: Measurement, joint: Joint) -> boo
 
 
 def _by_name(found: Sequence[Mistake], seen: Sequence[Recording], every: Sequence[Recording]) -> tuple[Mistake, ...]:
-    """The same; what all recordings have that were looked at, of each of these by its name where there are others."""
+    """Name the recordings of mistakes that all recordings in `seen` have, if there are others."""
     if len(seen) == len(every):
         return tuple(found)
     names = [r.name for r in seen]
@@ -498,7 +483,7 @@ def _by_name(found: Sequence[Mistake], seen: Sequence[Recording], every: Sequenc
 
 
 def _where(mistake: Mistake, having: Sequence[int], recordings: Sequence[Recording]) -> list[Mistake]:
-    """A mistake of those recordings, by index, that have it: one where all have."""
+    """Return one mistake for each recording that has it, by index, or one for all."""
     names = [""] if len(having) == len(recordings) else [recordings[i].name for i in having]
     return [replace(mistake, recording=name) for name in names]
 
@@ -508,7 +493,7 @@ def _apply(recordings: Iterable[Recording], joint: Joint, mistakes: Sequence[Mis
 
 
 def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Recording:
-    """One recording without mistakes; of samples first, as they were found."""
+    """Return a recording without mistakes."""
     if not mistakes:
         return recording
     N, p = joint.numbers["N"].value, joint.record(recording.link)[0]
@@ -536,21 +521,21 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
             columns[m.column] = _unwrapped(m, time, columns, rows, N)
         else:
             time, columns = undone(m, time, columns, N, p)
-            if m.name == "late":  # nothing was measured beyond the ends, and none of what lies within a gap
+            if m.name == "late":  # no data beyond the ends and within gaps
                 after = np.clip(np.searchsorted(time, time + m.seconds), 1, len(time) - 1)
                 lost |= (time + m.seconds > time[-1]) | (time + m.seconds < time[0])
                 lost |= time[after] - time[after - 1] > GAP
     found = replace(recording, time=time, columns=columns)
     found = found.at(~lost) if lost.any() else found
     moved = {c for m in mistakes for c in (m.column or "link_position", *m.also)} & {*POSITIONS, "time"}
-    # What the arm's motion puts on a link depends on where that is, and how fast.
+    # The arm's load depends on the link's motion.
     return with_arm_load(found, N) if moved and recording.arm is not None else found
 
 
 def _unwrapped(m: Mistake, time: np.ndarray, columns: dict[str, np.ndarray], rows: np.ndarray, N: float) -> np.ndarray:
-    """A column without jumps by whole turns or by a register's range, shape (n,)."""
+    """Return a column without jumps by whole turns or by a register's range, shape (n,)."""
     x, turn = columns[m.column], m.factor or _TURN
-    if m.column in DRIVING:  # of a register what is beyond half of its range is negative
+    if m.column in DRIVING:  # signed register
         return np.where(x > 0.5 * turn, x - turn, x)
     guide = next((n for n in (*POSITIONS, "position_command") if n in columns and n != m.column), None)
     if guide is None:

@@ -1,4 +1,4 @@
-"""How well channels agree with each other and with the joint's description, whatever cause of ordinary size is in it.
+"""Agreement of channels with each other and with the description, for any cause of ordinary size.
 
 Four relations hold between the channels of a joint, however they were recorded:
 
@@ -7,11 +7,10 @@ Four relations hold between the channels of a joint, however they were recorded:
     joint torque   Ts moves the link against gravity
     command        the link follows its command
 
-Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and
-all causes of ordinary size: bounds, and Gaussian priors within them. The bounds are those of a description that is wrong by a few
-times (`AgreementSettings`): a column is at fault only where no such description explains the log. The residual is taken to be
-Student-t distributed, as pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the
-*agreement*; samples a few milliseconds apart say the same, so a recording counts as `AgreementSettings.effective` samples.
+Each is a sum of known shapes (sin θ, θ'', sgn θ', …). Coefficients have Gaussian priors from the description, and bounds of a
+description that is wrong by a few times (`AgreementSettings`): a column is wrong only if no such description explains the log.
+Residuals are Student-t distributed, as pushes, bumps and stops have no shapes. The log likelihood at the best coefficients is the
+*agreement*. Neighbouring samples are correlated: a recording counts as `AgreementSettings.effective` samples.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -32,32 +32,27 @@ from ...models.signals import DRIVING, POSITIONS
 
 @dataclass(frozen=True)
 class AgreementSettings:
-    """How channels are smoothed and held against each other.
+    """Settings of smoothing and comparison.
 
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
     """
 
-    effective: float = 90.0  # samples that a recording counts as in a relation between its channels at the most
-    a_second: float = 12.0  # of it
-    samples: int = 320  # of a recording that are looked at
+    effective: float = 90.0  # most effective samples of a recording in a relation
+    a_second: float = 12.0  # effective samples per second
+    samples: int = 320  # of a recording that are used
     cutoff: float = 6.0  # of the smoother [Hz]
     bin: float = 0.01  # over which samples are averaged before [s]
     shortest: tuple[int, float] = (20, 0.3)  # samples and seconds of a part without gaps
     edge: float = 0.05  # at both ends of a part, where the smoother settles [s]
-    rated_torque: float = (
-        16.0  # of the joint for which ordinary sizes in N·m are stated: a payload, a cable, a stop [N·m]
-    )
-    load: tuple[float, float] = (
-        0.45,
-        2.1,
-    )  # lowest and highest ratio to what is described, of a description that is wrong
+    rated_torque: float = 16.0  # of the joint with the ordinary sizes of payload, cable and stop in N·m [N·m]
+    load: tuple[float, float] = (0.45, 2.1)  # least and largest ratio to the description
     inertia: tuple[float, float] = (0.5, 2.4)  # likewise
     friction: tuple[float, float] = (0.2, 8.0)  # likewise
     viscous: tuple[float, float] = (0.0, 10.0)  # likewise
-    noise: float = 0.04  # of a torque's residual to its own spread, at the least
-    suspicious: float = -0.15  # misfit below which channels do not go together
-    sharpest: float = 0.2  # of the residual that is expected, the least that still says more
-    vague: float = 0.5  # of the residual that is expected, from which on a relation is looked into
+    noise: float = 0.04  # least ratio of a torque's residual to its spread
+    suspicious: float = -0.15  # misfit below which channels disagree
+    sharpest: float = 0.2  # least residual over the expected one that adds information
+    vague: float = 0.5  # residual over the expected one above which a relation is examined
 
 
 SETTINGS = AgreementSettings()
@@ -67,7 +62,7 @@ _CHANNELS = (*POSITIONS, "motor_current", "motor_torque", "joint_torque", "posit
 
 @dataclass(frozen=True)
 class SmoothedChannels:
-    """A recording's channels, smoothed.
+    """Smoothed channels of a recording.
 
     Attributes:
       time: since the recording's start [s], shape (n,).
@@ -87,22 +82,22 @@ class SmoothedChannels:
 
     @property
     def position(self) -> str:
-        """The channel that tells the link's motion: of both encoders the link's."""
+        """The channel of the link's motion; the link encoder takes precedence."""
         return "link_position" if "link_position" in self.channels else "motor_position"
 
 
 def motion_of(recording: Recording) -> SmoothedChannels | None:
-    """Smooth a recording's channels, whose samples were checked already; None where no part without gaps is long enough."""
+    """Smooth a recording's channels; None if no segment is long enough."""
     time = recording.time - recording.time[0]
     interval = float(np.median(np.diff(time)))
-    cuts = np.flatnonzero(np.diff(time) > max(GAP, 5 * interval)) + 1
+    edges = [0, *(np.flatnonzero(np.diff(time) > max(GAP, 5 * interval)) + 1).tolist(), len(time)]
     step = max(0.02, interval, float(time[-1]) / SETTINGS.samples)
     names = [name for name in _CHANNELS if name in recording]
     columns = [recording[name] for name in names]
     if recording.load is not None:
         columns += [recording.load.torque, recording.relative_inertia]
     times, found = [], []
-    for part in np.split(np.arange(len(time)), cuts):
+    for part in (slice(a, b) for a, b in pairwise(edges)):
         t = time[part]
         if len(t) < SETTINGS.shortest[0] or t[-1] - t[0] < SETTINGS.shortest[1]:
             continue
@@ -132,7 +127,7 @@ def motion_of(recording: Recording) -> SmoothedChannels | None:
 
 
 def smallest_step(x: np.ndarray) -> float:
-    """Smallest change of a column from one sample to the next that is none of rounding; 0 where it does not change."""
+    """Return the smallest change of a column between samples, above rounding; 0 if it is constant."""
     change = np.abs(np.diff(x))
     change = change[change > max(1e-9 * float(np.ptp(x)), 4 * float(np.spacing(np.abs(x).max())))]
     return float(change.min()) if len(change) else 0.0
@@ -140,9 +135,9 @@ def smallest_step(x: np.ndarray) -> float:
 
 @kernel
 def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
-    """Coefficients within bounds that make y = A β likeliest, by iterated weights and coordinate descent; in place.
+    """Fit y = A β within bounds, by iterated weights and coordinate descent, in place.
 
-    Returns the log likelihood, that of the coefficients' priors included.
+    Returns the log likelihood, including the priors.
     """
     n, p = A.shape
     beta[:] = centre
@@ -201,13 +196,13 @@ def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
 
 
 class _Shapes:
-    """Columns of a relation with bounds and priors of their coefficients."""
+    """Shapes of a relation, with bounds and priors of their coefficients."""
 
     def __init__(self, n: int):
         self._n = n
         self._columns: list[np.ndarray] = []
         self._numbers: list[tuple[float, float, float, float]] = []
-        self._telling: list[int] = []
+        self._bounding: list[int] = []
 
     def __len__(self) -> int:
         return len(self._columns)
@@ -219,34 +214,34 @@ class _Shapes:
         high: float,
         centre: float = 0.0,
         spread: float | None = None,
-        telling: bool = False,
+        bounding: bool = False,
     ) -> None:
-        """A shape whose coefficient lies between `low` and `high`, about `centre` (a third of the range by default).
+        """Add a shape with a coefficient between `low` and `high`; `spread` is a third of the range by default.
 
         Args:
-          telling: whether a coefficient at a bound says that the description is wrong by more than a few times.
-        """  # fmt: skip
+          bounding: whether a coefficient at a bound means a description that is wrong by more than a few times.
+        """
         if high > low:
-            self._telling += [len(self._columns)] if telling else []
+            self._bounding += [len(self._columns)] if bounding else []
             self._columns.append(np.broadcast_to(shape, (self._n,)))
             self._numbers.append((low, high, centre, (high - low) / 3 if spread is None else spread))
 
     def fit(self, y: np.ndarray, sigma: np.ndarray, least: float, effective: float) -> RelationFit:
-        """The best coefficients for readings y, shape (n,); `least`: what `sigma` is where all is known."""
+        """Fit readings y, shape (n,); `least`: the value of `sigma` without rest."""
         A = np.ascontiguousarray(np.column_stack(self._columns))
         low, high, centre, spread = (np.array(x) for x in zip(*self._numbers, strict=True))
         beta, weight = np.empty(len(low)), effective / self._n
         misfit = float(_fit(A, y, sigma, low, high, centre, spread, weight, beta))
-        # A bound says something only where the way to it would show: no load has none below it, and a slow motion no inertia.
+        # A bound counts only if the difference from the centre would be visible.
         shows = least / np.maximum(np.sqrt(np.mean(A * A, axis=0)), 1e-300)
         out = ((beta <= low) & (centre - low > shows)) | ((beta >= high) & (high - centre > shows))
-        at_bound = bool(np.any(out[list(self._telling)]))
-        # What is left may be far less than what is allowed: then it says so much more.
+        at_bound = bool(np.any(out[list(self._bounding)]))
+        # A residual much smaller than expected adds information.
         u = (y - A @ beta) / sigma
         scale = min(max(1.5 * float(np.median(np.abs(u))), SETTINGS.sharpest), 1.0)
         more = 0.5 * (_FREEDOM + 1) * float(np.mean(np.log1p(u**2 / _FREEDOM) - np.log1p((u / scale) ** 2 / _FREEDOM)))
         readings = misfit + effective * max(more - math.log(scale), 0.0)
-        known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
+        known = -effective * float(np.mean(np.log(sigma / least)))  # less information at rest
         vague, sharp = scale > SETTINGS.vague, readings - misfit
         return RelationFit(readings + known, misfit / effective, readings, sharp, at_bound, vague, beta)
 
@@ -257,18 +252,17 @@ class RelationFit:
 
     Attributes:
       agreement: log likelihood.
-      misfit: its part that readings and priors make up, per effective sample: 0 where all is as expected, −0.6 where readings
-        are off by one `sigma`.
-      readings: that part of the whole.
-      sharpness: of that, what residuals say that are far less than what is allowed.
-      at_bound: whether the description would have to be wrong by more than a few times.
-      vague: whether the residual is not much less than what is allowed.
+      misfit: part of readings and priors per effective sample: 0 for an ideal fit, −0.6 for readings off by one `sigma`.
+      readings: part of readings and priors.
+      sharpness: part of residuals much smaller than expected.
+      at_bound: whether it needs a description that is wrong by more than a few times.
+      vague: whether the residual is not much smaller than expected.
       coefficients: of the shapes, in their order.
     """
 
     @property
     def suspicious(self) -> bool:
-        """Whether the channels do not go together, or only by a description that is wrong by more than a few times."""
+        """Whether the channels disagree, or agree only with a description that is wrong by more than a few times."""
         return self.misfit < SETTINGS.suspicious or self.at_bound
 
     agreement: float
@@ -281,12 +275,12 @@ class RelationFit:
 
 
 def _same(a: SmoothedChannels, b: SmoothedChannels, channels: tuple[str, ...]) -> bool:
-    """Whether some channels are the very same, and both give the link's motion by the same encoder."""
+    """Return whether some channels are the same objects, with the same encoder for the link's motion."""
     return a.position == b.position and all(a.channels.get(n) is b.channels.get(n) for n in channels)
 
 
 class Plausibility:
-    """A joint's description as what the channels of one recording are compared with."""
+    """A joint's description, compared with the channels of one recording."""
 
     def __init__(self, joint: Joint, recording: Recording):
         self.joint = joint
@@ -305,11 +299,11 @@ class Plausibility:
         before: SmoothedChannels | None = None,
         known: Mapping[str, RelationFit] | None = None,
     ) -> dict[str, RelationFit]:
-        """All relations that the channels allow, by name: `encoders`, `command`, and the name of each torque channel.
+        """Fit all relations of the channels, by name: `encoders`, `command`, and each torque channel.
 
         Args:
           motion: the channels.
-          before, known: other channels and their relations, of which those are taken over whose channels are the same.
+          before, known: other channels and their relations, which are reused for identical channels.
         """
         relations: dict[str, tuple[str, ...]] = {}
         if all(name in motion for name in POSITIONS):
@@ -328,13 +322,13 @@ class Plausibility:
         }
 
     def link(self, motion: SmoothedChannels) -> np.ndarray:
-        """The link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
+        """Return the link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
         values = motion.channels[motion.position]
         return values if motion.position == "link_position" else values / self.p["N"]
 
     @staticmethod
     def _effective(motion: SmoothedChannels) -> float:
-        """Samples that a recording counts as: no more than its passband has in so many seconds."""
+        """Return the number of effective samples of a recording."""
         seconds = float(motion.time[-1] - motion.time[0])
         return min(SETTINGS.effective, max(SETTINGS.a_second * seconds, 1.0))
 
@@ -354,7 +348,7 @@ class Plausibility:
         shapes.add(np.tanh(p["N"] * v / p["vs"]), -4 * friction, 4 * friction)
         y = motion.channels["motor_position"][:, 0] / p["N"] - theta
         sigma = 2e-4 + 0.15 * wound + self.joint.sensors.motor_encoder.resolution / p["N"]
-        # Counts that are coarser than described are no mistake; in another unit a step is no angle.
+        # Coarser counts are not a mistake; the limit is for other units.
         coarse = min(motion.steps["link_position"], 5e-3) + min(motion.steps["motor_position"] / p["N"], 5e-3)
         sigma = float(np.hypot(sigma, 0.5 * coarse))
         return shapes.fit(y, np.full(len(theta), sigma), sigma, self._effective(motion))
@@ -370,11 +364,11 @@ class Plausibility:
         return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * self._effective(motion))
 
     def torque(self, motion: SmoothedChannels, name: str, free: bool = False) -> RelationFit:
-        """The relation of a torque channel to the link's motion.
+        """Fit a torque channel to the link's motion.
 
         Args:
-          free: whether inertia and gravity, the first three coefficients, may be any: a clock that is wrong and a torque without
-            gravity show in them.
+          free: whether inertia and gravity, the first three coefficients, are unbounded, to detect a wrong clock or a torque
+            without gravity.
         """
         p, size, rated = self.p, self._size, self.rated
         drive = name != "joint_torque"
@@ -384,7 +378,7 @@ class Plausibility:
         rotor = N * N * float(p["Jm"] + p["Jw"]) if drive else 0.0
         inertia = float(p["Jl"]) * motion.inertia + rotor
         shapes = _Shapes(len(theta))
-        shapes.add(inertia * a, *((0.0, 1e3, 1.0, 1e3) if free else (*SETTINGS.inertia, 1.0, 0.8)), telling=True)
+        shapes.add(inertia * a, *((0.0, 1e3, 1.0, 1e3) if free else (*SETTINGS.inertia, 1.0, 0.8)), bounding=True)
         # The link's own weight, a payload, a cable, a stop [N·m].
         payload = 4.5 * size
         turned = (0.25 if self.joint.gravity_angle is not None else 0.06) * weight + 0.3 * payload
@@ -393,7 +387,7 @@ class Plausibility:
         high_load = max(SETTINGS.load[1] * weight, 1.25 * weight + payload) * high
         if free:
             low_load, turned = -weight, 3 * weight
-        shapes.add(np.sin(angle), low_load, high_load, weight, 0.5 * (weight + payload), telling=True)
+        shapes.add(np.sin(angle), low_load, high_load, weight, 0.5 * (weight + payload), bounding=True)
         shapes.add(np.cos(angle), -turned * high, turned * high, 0.0, turned / 2)
         cable = max(float(p["cable_stiffness"]), 0.0)
         shapes.add(theta, 0.0, (2.0 * size + 2 * cable) * high, cable, 1.0 * size)
@@ -406,7 +400,7 @@ class Plausibility:
         if drive:
             friction, viscous = N * float(p["Fc"]), N * N * float(p["bw"] + p["bm"]) + float(p["bl"])
             level = len(shapes)
-            shapes.add(friction * sliding, SETTINGS.friction[0], SETTINGS.friction[1], 1.0, 2.0, telling=True)
+            shapes.add(friction * sliding, SETTINGS.friction[0], SETTINGS.friction[1], 1.0, 2.0, bounding=True)
             shapes.add(viscous * v, SETTINGS.viscous[0], SETTINGS.viscous[1] * high, 1.0, 3.0)
             offset = 0.2 * N * float(p["Kt"]) + 0.5 * friction
             shapes.add(1.0, -offset, offset, N * float(p["Kt"] * p["current_offset"]), offset / 3)
@@ -433,7 +427,7 @@ class Plausibility:
         wide = float(np.hypot(base, min(SETTINGS.noise * float(np.std(y)), 2 * base)))
         if not drive:
             return shapes.fit(y, np.full(len(theta), wide), base, self._effective(motion))
-        # At rest, and where the smoother mixes rest and motion, friction may be anything up to its level.
+        # At rest, and near it, friction is unknown up to its level.
         near = uniform_filter1d(sliding, 5, mode="nearest")
         resting = np.maximum(np.exp(-((N * v / (2 * p["vs"])) ** 2)), 1 - np.abs(near))
         found = shapes.fit(y, np.hypot(wide, 2 * friction * resting), base, self._effective(motion))

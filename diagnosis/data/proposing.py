@@ -1,7 +1,7 @@
 """The mapping of an unknown log, proposed from names and values of its columns.
 
 A name is split into words. Words say what a column may be, on which side of the gear, and whether it is a command; the other
-words (a number, a joint's name) say of which joint. Values say what is left open: a unit, whether an angle wraps, which column
+words (a number, a joint's name) identify the joint. Values determine the rest: a unit, whether an angle wraps, which column
 is the time.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from ...models.errors import InputError
 from ...models.files import flow_text, yaml_text
+from ...models.signals import DRIVING, POSITIONS
 from ...models.text_tables import seconds
 from .importing import UNITS
 from .log import Log
@@ -80,7 +81,7 @@ class _Column:
     command: bool
     unit: str | None
     of: tuple[str, ...]
-    """What is left of its name: a joint's number or name."""
+    """Rest of its name: a joint's number or name."""
     dated: bool = False
 
 
@@ -224,13 +225,8 @@ def _angle(column: _Column, given: str | None = None) -> tuple[dict, str]:
         found["counts"] = 2 ** max(12, int(np.ceil(np.log2(max(largest, 1) + 1))))
         why = "whole numbers; counts per turn: CHECK"
     turn = {
-        "rad": 2 * np.pi,
-        "deg": 360.0,
-        "rev": 1.0,
-        "counts": found.get("counts", 0),
-        "°": 360.0,
-        "mrad": 2e3 * np.pi,
-    }[found["unit"]]
+        "rad": 2 * np.pi, "deg": 360.0, "rev": 1.0, "counts": found.get("counts", 0), "°": 360.0, "mrad": 2e3 * np.pi,
+    }[found["unit"]]  # fmt: skip
     jump = float(np.max(np.abs(np.diff(values))))
     if 0.7 * turn < jump < 1.3 * turn:
         found["wraps"] = True
@@ -280,13 +276,13 @@ def _motor_unit(motor: _Column, link: _Column, unit: str) -> str | None:
 
 
 def _measured(columns: list[_Column], kind: str, of: tuple[str, ...], side: str | None = None) -> _Column | None:
-    """The first measured column of a kind and joint; of no joint, where none is of this one; or else the only one."""
+    """Return the first measured column of a kind and joint, or of no joint, or the only one of that kind."""
     fitting = [c for c in columns if c.kind == kind and not c.command and (side is None or c.side == side)]
     return next((c for key in (of, ()) for c in fitting if c.of == key), fitting[0] if len(fitting) == 1 else None)
 
 
 def _joint(columns: list[_Column]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """The joint that is proposed, as it is known by: of those with angle and current or torque, the one that moves most."""
+    """Return the key of the joint with angle and current or torque that moves most, and the other keys."""
     moves: dict[tuple[str, ...], float] = {}
     driven = {c.of for c in columns if c.kind in ("current", "torque") and not c.command}
     driven = driven or {c.of for c in columns if c.kind == "load"}
@@ -369,35 +365,37 @@ def proposed(path: Path) -> str:
         found["link_position"] = ({"column": "COLUMN", "unit": "rad"}, "FILL IN: no name says an angle")
     if not {"motor_current", "motor_torque", "joint_torque"} & set(found):
         found["motor_current"] = ({"column": "COLUMN", "unit": "A"}, "FILL IN: no name says a current or torque")
-    episode = next((c for c in columns if c.kind == "episode"), None)
+    episode = next((c.name for c in columns if c.kind == "episode"), None)
+    spare = [name for name in dict.fromkeys(log.names) if name not in used and name != episode]
+    return _mapping(path, found, episode, of, others, spare)
+
+
+def _mapping(
+    path: Path,
+    found: dict[str, tuple[dict, str]],
+    episode: str | None,
+    of: tuple[str, ...],
+    others: list[tuple[str, ...]],
+    spare: list[str],
+) -> str:
+    """Return the text of a mapping file with quantities and reasons by channel."""
     lines = [
         f"# Proposed for {path.name} by names and values. Check every line; FILL IN what is marked.",
         "format: 1",
         f"name: {re.sub(r'[^A-Za-z0-9_-]+', '-', path.stem).strip('-') or 'mine'}",
         "joint: JOINT  # FILL IN: a shipped joint (`flexspline joints`), or the path of a description",
-        "link: {inertia: 1.0, gravity_moment: 0.0}  # FILL IN: kg·m² and N·m at horizontal of what hung on the output",
+        "link: {inertia: 1.0, gravity_moment: 0.0}  # FILL IN: kg·m² and N·m at horizontal of the link",
     ]
     if episode is not None:
-        lines.append(f"episodes: {yaml_text(episode.name).splitlines()[0]}  # a recording of each of its values")
+        lines.append(f"episodes: {yaml_text(episode).splitlines()[0]}  # a recording of each of its values")
     lines.append("columns:")
-    order = (
-        "time",
-        "motor_position",
-        "link_position",
-        "motor_current",
-        "motor_torque",
-        "joint_torque",
-        "position_command",
-    )
+    order = ("time", *POSITIONS, *DRIVING, "position_command")
     for target in sorted(found, key=lambda name: order.index(name) if name in order else len(order)):
         quantity, why = found[target]
         lines.append(f"  {target}: {flow_text(quantity)}  # {why}")
     if others:
         names = ", ".join(" ".join(key) or "one without a number" for key in others[:12])
         lines.append(f"# This is joint {' '.join(of) or 'without a number'}, which moves most; others: {names}")
-    spare = [
-        name for name in dict.fromkeys(log.names) if name not in used and (episode is None or name != episode.name)
-    ]
     if spare:
         lines.append(f"# Not used: {', '.join(spare[:40])}{', …' if len(spare) > 40 else ''}")
     return "\n".join(lines) + "\n"

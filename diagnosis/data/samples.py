@@ -1,8 +1,8 @@
-"""What is wrong with single samples of a recording: far off, jumped by a turn, not moving, at the sensor's end.
+"""Find wrong samples of a recording: glitches, jumps by a turn, stuck and clipped readings.
 
-Each column is compared with its own neighbourhood and with what other columns do meanwhile; units do not matter. Steps between
-samples are taken less the local speed times the interval, so that motion, jitter and missing samples are none. What motion
-explains is no mistake: a torque's peak where the angle's speed changes, a rest at the outermost pose, what friction holds.
+Each column is compared with its own neighbourhood and with other columns, in any unit. The local speed times the interval is
+subtracted from steps between samples, which removes motion, jitter and missing samples. Torque peaks at changes of speed, rest
+at an end pose, and a joint held by friction are not mistakes.
 """
 
 from __future__ import annotations
@@ -23,41 +23,41 @@ from .plausibility import smallest_step
 
 @dataclass(frozen=True)
 class SampleSettings:
-    """When a sample is wrong.
+    """Thresholds of wrong samples.
 
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
     """
 
     neighbours: int = 9  # steps whose median is the local speed
-    far: float = 8.0  # times what 99 % of the steps keep below, from which on a step is far
-    alone: float = 5.0  # times the largest ordinary step within `nearby`, from which on it stands alone
+    far: float = 8.0  # least size of a far step, over the 99 % quantile of steps
+    alone: float = 5.0  # least size of an isolated step, over the largest ordinary step within `nearby`
     nearby: int = 25  # samples
-    longest: int = 3  # samples of a glitch at the most
-    # samples whose median is compared with a sample where glitches are many, and within which most are calm on either side
+    longest: int = 3  # most samples of a glitch
+    # samples of the running median with frequent glitches, and samples on either side of which most are calm
     window: int = 11
-    around: int = 6  # likewise
-    calm: float = 0.7  # their part
-    usual: float = 0.9  # part of the samples that are no glitches even then
-    cleared: float = 0.25  # by how much steps must become smaller without them
-    quanta: float = 20.0  # smallest steps of a column, and roundings of single precision, that a glitch is larger than
-    moves: float = 1.5  # times the largest other step of an angle nearby, that a glitch is larger than
-    # times what it usually is where the angle's speed changes, that a torque's peak there is larger than
+    around: int = 6  # the latter
+    calm: float = 0.7  # their share
+    usual: float = 0.9  # least share of valid samples with frequent glitches
+    cleared: float = 0.25  # largest ratio of steps without glitches to steps with them
+    quanta: float = 20.0  # least size of a glitch, in smallest steps of a column or roundings of single precision
+    moves: float = 1.5  # the same over the largest other step of an angle nearby
+    # the same over the usual peak of a torque at a change of speed
     bends: float = 5.0
     span: int = 4  # samples within which the speed changes
-    events: int = 8  # samples with such changes, at the least
-    still: tuple[float, int] = (0.2, 20)  # seconds and samples that a column does not move at the least to be stuck
-    # share of its range and radians on the output side by which others move meanwhile
+    events: int = 8  # least number of samples with such changes
+    still: tuple[float, int] = (0.2, 20)  # least seconds and samples of a stuck column
+    # least motion of other columns meanwhile: share of their range, and radians on the output side
     moved: tuple[float, float] = (0.03, 0.02)
-    pieces: int = 8  # of a part, whose medians say how far another column moves meanwhile
-    leaves: float = 3.0  # times the largest ordinary step of an angle, by which a lone one that was stuck goes on
-    flat: int = 8  # samples at a sensor's end at the least
-    peaked: float = 4.0  # times more often that the value at the end is there than those near it
-    driven: float = 0.01  # share of its range by which a position moves while a torque is stuck, or at its end
-    together: float = 0.2  # part of a jump by which both encoders may differ in it
-    uncommanded: float = 0.3  # way of the link [rad] that nothing but a command makes: no push and no compliance
-    whole: float = 0.1  # by how much a counter's jump against the other encoder may be off whole turns [turns]
-    clipped: float = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
-    listed: int = 4  # rows that are named one by one
+    pieces: int = 8  # of a part, whose medians measure the motion of other columns
+    leaves: float = 3.0  # least step of a single encoder after it was stuck, over the largest ordinary step
+    flat: int = 8  # least number of samples at a sensor's limit
+    peaked: float = 4.0  # least frequency of the value at the limit, over that of values near it
+    driven: float = 0.01  # least motion of a position, over its range, while a torque is stuck or clipped
+    together: float = 0.2  # largest relative difference of a jump of both encoders
+    uncommanded: float = 0.3  # motion of the link [rad] that needs a command
+    whole: float = 0.1  # tolerance of a counter's jump by whole turns [turns]
+    clipped: float = 0.01  # share of clipped samples that is severe
+    listed: int = 4  # rows that are listed one by one
 
 
 SETTINGS = SampleSettings()
@@ -65,7 +65,7 @@ _ANGLES = (*POSITIONS, "position_command")
 
 
 def wrong_samples(recording: Recording, joint: Joint) -> list[Mistake]:
-    """Single samples of a recording that are wrong, column by column."""
+    """Find the wrong samples of a recording, column by column."""
     time, columns, N = recording.time, dict(recording.columns), joint.numbers["N"].value
     found: list[Mistake] = []
 
@@ -82,7 +82,7 @@ def wrong_samples(recording: Recording, joint: Joint) -> list[Mistake]:
             turns = _turns(name, joint) if name in _ANGLES else ()
             wrapped(name, *_within_a_turn(time, columns[name], (*_registers(columns[name]), *turns)))
         steps, glitches = _Steps(time, columns[name]), set[int]()
-        while more := set(_glitches(steps, name, columns)) - glitches:  # large ones hide smaller ones
+        while more := set(_glitches(steps, name, columns)) - glitches:  # large ones mask smaller ones
             glitches |= more
             columns[name] = bridged(time, columns[name], np.array(sorted(glitches)))
             steps = _Steps(time, columns[name])
@@ -112,24 +112,28 @@ def _mistake(name: str, column: str, recording: Recording, rows: np.ndarray, tur
     elif name == "wrapped":
         text = f"jumps by a whole turn ({turn:g}) {'once' if len(rows) == 1 else f'{len(rows)} times'}, {where}"
     elif name == "stuck":
-        text = "does not move at all" if len(rows) == n else f"does not move in {count} although it should, {where}"
+        text = "does not move" if len(rows) == n else f"does not move in {count} although it should, {where}"
     else:
-        text, severe = f"{count} at the sensor's end, {where}", len(rows) > SETTINGS.clipped * n
+        text, severe = f"{count} at the sensor's limit, {where}", len(rows) > SETTINGS.clipped * n
     rows_ = tuple(int(k) for k in rows)
     return Mistake(name, column, recording.name, text, 0.99, factor=turn, rows=rows_, severe=severe)
 
 
 def jumps(recording: Recording, joint: Joint) -> np.ndarray:
-    """Samples before which others are missing, or were logged twice, though the time was numbered through: both encoders go the
-    same way at once, far more than before and after."""
+    """Find samples before which others are missing or duplicated without a change in time: both encoders jump together."""
     if any(name not in recording for name in POSITIONS):
         return np.empty(0, int)
     N = joint.numbers["N"].value
-    motor, link = (_Steps(recording.time, recording[n] / (N if n == "motor_position" else 1.0)) for n in POSITIONS)
-    far = [s.size > s.far() for s in (motor, link)]
-    same = np.abs(motor.off - link.off) < SETTINGS.together * np.abs(link.off)
-    found = np.flatnonzero(far[0] & far[1] & same)
-    # What comes back at once is a sample far off.
+    off, far = [], []
+    for name in POSITIONS:
+        steps = _Steps(recording.time, recording[name] / (N if name == "motor_position" else 1.0))
+        far.append(steps.size > steps.far())
+        off.append(steps.off)
+        del steps
+    both = np.flatnonzero(far[0] & far[1])
+    motor, link = (x[both] for x in off)
+    found = both[np.abs(motor - link) < SETTINGS.together * np.abs(link)]
+    # A jump back is a glitch.
     back = [
         bool(np.any(far[1][max(k - SETTINGS.longest, 0) : k]) or np.any(far[1][k + 1 : k + 1 + SETTINGS.longest]))
         for k in found
@@ -138,26 +142,28 @@ def jumps(recording: Recording, joint: Joint) -> np.ndarray:
 
 
 def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[str, ...]]:
-    """The measurement with gaps in the time of its recordings where samples are missing (`jumps`), and what is said of each.
+    """Insert gaps in time where samples are missing (`jumps`); also return a message for each.
 
-    The time that they had is kept in `Recording.stamps`.
+    `Recording.stamps` keeps the original time.
     """
-    said, found = [], []
+    messages, found = [], []
     for recording in measurement.recordings:
         rows, time = jumps(recording, joint), recording.time.copy()
         for row in rows:
             time[row:] += 2 * GAP
-            said.append(
-                f"{recording.name}: both encoders jump at row {row}: samples are missing, or there twice, which the time does "
-                "not show; taken for a gap"
+            messages.append(
+                f"{recording.name}: both encoders jump at row {row}, but the time does not: samples are missing or duplicated; "
+                "the recording is split there"
             )
         found.append(replace(recording, time=time, logged=recording.stamps) if len(rows) else recording)
-    return replace(measurement, recordings=tuple(found)) if said else measurement, tuple(said)
+    return replace(measurement, recordings=tuple(found)) if messages else measurement, tuple(messages)
 
 
 def still_commands(recordings: Sequence[Recording], joint: Joint) -> list[list[Mistake]]:
-    """Of each recording a position command that stays where it is though the link does not, if it has one: a drive that follows
-    a torque or a velocity logs 0. One at the same value in another recording is of the same drive."""
+    """Find, for each recording, a constant position command of a moving link; one recording decides for equal commands.
+
+    Drives in torque or velocity mode log such commands.
+    """
     N = joint.numbers["N"].value
     at: list[float | None] = []
     still = set()
@@ -174,7 +180,7 @@ def still_commands(recordings: Sequence[Recording], joint: Joint) -> list[list[M
 
 
 def bridged(time: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """The column with some samples replaced by the straight line between their neighbours, shape (n,)."""
+    """Return the column with some samples interpolated linearly, shape (n,)."""
     kept = np.ones(len(x), bool)
     kept[rows] = False
     return np.where(kept, x, np.interp(time, time[kept], x[kept])) if kept.any() else x
@@ -183,14 +189,12 @@ def bridged(time: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def unwrapped(
     time: np.ndarray, x: np.ndarray, jumps: np.ndarray, turn: float, guide: np.ndarray | None = None, start: float = 0.0
 ) -> np.ndarray:
-    """The angle without jumps, shape (n,): whole turns are added after each; over gaps as a guide's motion has it.
-
-    The first one is within half a turn of `start`.
+    """Return the angle without jumps by whole turns, shape (n,); the first is within half a turn of `start`.
 
     Args:
       time, x: of the samples [s], and the angle, shape (n,).
       jumps: samples after each jump; turn: in the angle's unit.
-      guide: another angle of the same shaft, in any unit; without one the speed before and after a gap tells.
+      guide: another angle of the same joint, in any unit; determines the turns within gaps, otherwise the speed around them does.
     """
     steps, change = np.diff(x), np.zeros(len(x))
     inside = np.diff(time) <= GAP
@@ -218,40 +222,56 @@ def _speed(time: np.ndarray, x: np.ndarray, part: slice) -> float:
 
 
 class _Steps:
-    """A column's steps from sample to sample less the local speed times the interval."""
+    """Steps of a column from sample to sample, minus the local speed times the interval."""
 
     def __init__(self, time: np.ndarray, x: np.ndarray):
         self.x = x
         intervals, self.step = np.diff(time), np.diff(x)
         self.inside = intervals <= max(GAP, 5 * float(np.median(intervals)))
-        speed = np.where(self.inside, self.step / intervals, 0.0)
-        local = median_filter(speed, SETTINGS.neighbours, mode="nearest")
-        self.off = np.where(self.inside, self.step - local * intervals, 0.0)
-        self.size = np.abs(self.off)
-        moving = np.abs(self.step[self.step != 0])
-        self.quantum = float(moving.min()) if len(moving) else 0.0
-        self.quantum = max(self.quantum, float(np.spacing(np.float32(min(np.abs(x).max(), 1e30)))))
+        # In place: an hour at 1 kHz has 29 MB per array.
+        speed = self.step / intervals
+        speed[~self.inside] = 0.0
+        off = median_filter(speed, SETTINGS.neighbours, mode="nearest")
+        del speed
+        off *= intervals
+        np.subtract(self.step, off, out=off)
+        off[~self.inside] = 0.0
+        self.off = off
+        smallest = float(np.min(np.abs(self.step), where=self.step != 0, initial=np.inf))
+        largest = min(max(float(x.max()), -float(x.min())), 1e30)
+        self.quantum = max(smallest if np.isfinite(smallest) else 0.0, float(np.spacing(np.float32(largest))))
+
+    @property
+    def size(self) -> np.ndarray:
+        """Absolute steps, shape (n - 1,)."""
+        return np.abs(self.off)
 
     def far(self) -> float:
-        """Size from which on a step is an exception."""
+        """Return the least size of an exceptional step."""
         ordinary = self.size[self.inside]
         usual = float(np.quantile(ordinary, 0.99)) if len(ordinary) else 0.0
         return max(SETTINGS.far * usual, SETTINGS.quanta * self.quantum)
 
     def glitches(self) -> np.ndarray:
-        """Samples that are far off their neighbours, which agree with each other."""
-        ordinary = self.size[self.inside]
-        if not len(ordinary) or not ordinary.any() or len(self.x) < 2 * SETTINGS.neighbours:
+        """Find samples that are far off their neighbours, which agree with each other."""
+        if not self.off.any() or len(self.x) < 2 * SETTINGS.neighbours:
             return np.empty(0, int)
         few = self._few()
-        return few if len(few) else self._many(ordinary)
+        return few if len(few) else self._many()
 
-    def _many(self, ordinary: np.ndarray) -> np.ndarray:
-        """The same where they are so many that far steps are no exception: what they are far off is a running median, and steps
-        are ordinary without them; none where they are not."""
-        way = np.concatenate([[0.0], np.cumsum(self.off)])
-        off = np.abs(way - median_filter(way, SETTINGS.window, mode="nearest"))
+    def _many(self) -> np.ndarray:
+        """Glitches that are so frequent that far steps are no exception.
+
+        They are compared with a running median; steps must be ordinary without them.
+        """
+        way = np.zeros(len(self.x))
+        np.cumsum(self.off, out=way[1:])
+        off = median_filter(way, SETTINGS.window, mode="nearest")
+        np.subtract(way, off, out=off)
+        np.abs(off, out=off)
         limit = max(SETTINGS.far * float(np.quantile(off, SETTINGS.usual)), SETTINGS.quanta * self.quantum, 1e-12)
+        if not np.any(off > limit):
+            return np.empty(0, int)
         about = percentile_filter(off, 100 * SETTINGS.calm, 2 * SETTINGS.around + 1, mode="nearest")
         far = (off > limit) & (off > SETTINGS.alone * about)
         begins, lengths = _runs(far)
@@ -262,11 +282,12 @@ class _Steps:
         if not len(rows):
             return rows
         step = np.diff(bridged(np.arange(len(way)), way, rows))[self.inside]
-        less = float(np.quantile(np.abs(step), 0.99)) < SETTINGS.cleared * float(np.quantile(ordinary, 0.99))
+        ordinary = float(np.quantile(self.size[self.inside], 0.99))
+        less = float(np.quantile(np.abs(step), 0.99)) < SETTINGS.cleared * ordinary
         return rows if less else rows[:0]
 
     def _few(self) -> np.ndarray:
-        """The same where a far step is an exception."""
+        """Find glitches if far steps are rare."""
         size, n = self.size, len(self.x)
         far = size > max(self.far(), 1e-6 * float(np.ptp(self.x)), 1e-12)
         usual = np.where(far, 0.0, size)
@@ -287,13 +308,13 @@ class _Steps:
         return np.array(sorted(set(rows)), int)
 
     def wraps(self, turns: tuple[float, ...]) -> tuple[np.ndarray, float]:
-        """Samples after jumps by exactly a whole turn, of an angle that makes several; none where there is no such jump."""
+        """Find the samples after jumps by exactly a whole turn, and the turn."""
         ordinary = self.size[self.inside]
         if len(ordinary) >= 2 * SETTINGS.neighbours:
             usual = max(float(np.quantile(ordinary, 0.99)), self.quantum, 1e-9)
             far = np.flatnonzero(self.size > max(SETTINGS.far * usual, SETTINGS.quanta * self.quantum))
             jumps = np.abs(self.off[far])
-            # Else it was stuck before.
+            # Exclude stuck readings before a jump.
             moved = [bool(np.any(self.step[max(k - SETTINGS.still[1], 0) : k])) for k in far]
             for turn in turns:
                 exact = np.abs(jumps - turn) < 2e-3 * turn + usual
@@ -303,19 +324,19 @@ class _Steps:
 
 
 def _glitches(steps: _Steps, name: str, columns: Mapping[str, np.ndarray]) -> list[int]:
-    """A column's glitches, without what the joint's motion explains."""
+    """Find a column's glitches that the joint's motion does not explain."""
     rows = steps.glitches()
     if not len(rows):
         return []
     out = np.zeros(len(steps.x), bool)
     out[rows] = True
-    if name in _ANGLES:  # a short move goes there, too, and others like it do
+    if name in _ANGLES:  # excludes short moves
         own = np.where(out[1:] | out[:-1], 0.0, np.abs(steps.step))
         largest = maximum_filter1d(own, 2 * SETTINGS.nearby + 1, mode="nearest")[np.minimum(rows, len(own) - 1)]
         off = np.abs(steps.x - bridged(np.arange(len(out)), steps.x, rows))[rows]
         return rows[off > SETTINGS.moves * largest].tolist()
     size = np.maximum(np.append(steps.size, 0.0), np.append(0.0, steps.size))
-    for angle in (n for n in _ANGLES if n in columns):  # where the speed changes, a torque has a peak
+    for angle in (n for n in _ANGLES if n in columns):  # torques have peaks at changes of speed
         k = SETTINGS.span
         x = np.pad(columns[angle], k, mode="edge")
         bend = maximum_filter1d(np.abs(x[2 * k :] - 2 * x[k:-k] + x[: -2 * k]), 2 * k + 1, mode="nearest")
@@ -328,8 +349,7 @@ def _glitches(steps: _Steps, name: str, columns: Mapping[str, np.ndarray]) -> li
 
 
 def _within_a_turn(time: np.ndarray, x: np.ndarray, turns: tuple[float, ...]) -> tuple[np.ndarray, float]:
-    """Samples after jumps of a column that never leaves one turn, or the range of a register, and what that is; none where it
-    makes sense without."""
+    """Find the samples after wraps of a column within one turn or a register's range, and that range."""
     extent = float(np.ptp(x))
     inside = np.diff(time) <= max(GAP, 5 * float(np.median(np.diff(time))))
     for turn in turns:
@@ -343,11 +363,13 @@ def _within_a_turn(time: np.ndarray, x: np.ndarray, turns: tuple[float, ...]) ->
 
 
 def _registers(x: np.ndarray) -> tuple[float, ...]:
-    """What the range of a register of 16 or 32 bits may be, in the unit of a column that is never below zero."""
-    values, extent = np.unique(x), float(np.ptp(x))
-    if values[0] < 0.0 or len(values) < 16:
+    """Return possible ranges of a register of 16 or 32 bits, in the unit of a column without negative values."""
+    if float(x.min()) < 0.0:
         return ()
-    # No value lies between small numbers and those that were below zero.
+    values, extent = np.unique(x), float(np.ptp(x))
+    if len(values) < 16:
+        return ()
+    # There is a gap between small values and wrapped negative ones.
     apart = np.diff(values)
     k = int(np.argmax(apart))
     high = x > values[k]
@@ -355,7 +377,7 @@ def _registers(x: np.ndarray) -> tuple[float, ...]:
     if apart[k] < 0.5 * extent or min(np.count_nonzero(high), np.count_nonzero(~high)) < SETTINGS.flat:
         return (2.0**16 * step, 2.0**32 * step)  # an angle goes through all of it
     for part in (values[: k + 1] - values[0], values[k + 1 :] - values[k + 1], values - values[0]):
-        whole = np.round(part / step)  # the larger a number, the better it says the step
+        whole = np.round(part / step)
         step = float(part @ whole / (whole @ whole)) if whole @ whole > 0 else step
     steps = np.diff(x)
     at = np.flatnonzero(np.abs(steps) > 0.5 * extent)
@@ -364,14 +386,14 @@ def _registers(x: np.ndarray) -> tuple[float, ...]:
 
 
 def _turns(name: str, joint: Joint) -> tuple[float, ...]:
-    """What a whole turn may be in a column: radians, degrees, turns, counts."""
+    """Return possible whole turns of a column: in radians, degrees, turns, counts."""
     encoders = {"motor_position": joint.sensors.motor_encoder, "link_position": joint.sensors.link_encoder}
     own = (2 * math.pi / encoders[name].resolution,) if name in encoders else ()
     return (2 * math.pi, 360.0, *own, 1.0, *(float(2**bits) for bits in range(8, 33)))
 
 
 def _power_cycles(time: np.ndarray, columns: Mapping[str, np.ndarray], N: float) -> np.ndarray:
-    """Samples before which the motor's counter has lost whole turns, which the link's encoder says that it did not make."""
+    """Find samples before which the motor's counter lost whole turns, according to the link encoder."""
     motor, link = (columns[name] for name in POSITIONS)
     off = np.diff(motor) - N * np.diff(link)
     usual = 8 * float(np.quantile(np.abs(off), 0.99))
@@ -379,7 +401,7 @@ def _power_cycles(time: np.ndarray, columns: Mapping[str, np.ndarray], N: float)
     found = np.flatnonzero((np.abs(off) > max(usual, math.pi)) & (np.abs(turns - np.round(turns)) < SETTINGS.whole))
     if not len(found) or len(found) > 3:
         return np.empty(0, int)
-    # Else one of them was stuck before, but for a gap.
+    # Exclude stuck readings before a jump, except at gaps.
     before = [slice(max(k - SETTINGS.still[1], 0), k) for k in found]
     moved = [bool(np.any(np.diff(motor[b])) and np.any(np.diff(link[b]))) for b in before]
     found = found[np.array(moved, bool) | (np.diff(time)[found] > GAP)]
@@ -389,18 +411,25 @@ def _power_cycles(time: np.ndarray, columns: Mapping[str, np.ndarray], N: float)
 
 
 def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First samples and lengths of runs of equal values."""
-    edges = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0, [True]]))
+    """Return first samples and lengths of runs of equal values."""
+    edges = _edges(x)
     return edges[:-1], np.diff(edges)
+
+
+def _edges(x: np.ndarray) -> np.ndarray:
+    """Return the first samples of runs of equal values, and the number of samples."""
+    begins = np.ones(len(x) + 1, bool)
+    begins[1:-1] = x[1:] != x[:-1]
+    return np.flatnonzero(begins)
 
 
 def _still(
     time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: float, limit: float
 ) -> dict[str, np.ndarray]:
-    """Samples in which a column does not move although it should, `stuck`, and those at a sensor's end, `clipped`.
+    """Find samples of a column that should move but does not, `stuck`, and those at a sensor's limit, `clipped`.
 
     Args:
-      limit: what the column cannot pass, whatever its sensor does.
+      limit: physical limit of the column.
     """
     x, none = columns[name], np.empty(0, int)
     begins, lengths = _runs(x)
@@ -426,7 +455,7 @@ def _still(
 
 
 def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, part: slice, N: float) -> bool:
-    """Whether another column says that this one should have moved."""
+    """Return whether other columns show that this one should have moved."""
     others = [n for n in POSITIONS if n in columns and n != name and np.ptp(columns[n]) > 0]
     if name in DRIVING:
         return any(_travelled(columns[n][part]) > SETTINGS.driven * np.ptp(columns[n]) for n in others)
@@ -434,7 +463,7 @@ def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, part: slice, 
         moved, whole = _travelled(columns[other][part]), float(np.ptp(columns[other]))
         if moved > SETTINGS.moved[0] * whole and moved > SETTINGS.moved[1] * (N if other == "motor_position" else 1.0):
             return True
-    # A lone encoder that hangs goes on by a jump; friction holds a joint for as long, but lets it go as it always does.
+    # A single stuck encoder continues with a jump; a joint held by friction does not.
     steps = np.abs(np.diff(columns[name]))
     if others or part.stop >= len(steps) + 1 or not steps.any():
         return False
@@ -444,14 +473,14 @@ def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, part: slice, 
 
 
 def _travelled(x: np.ndarray) -> float:
-    """By how much an angle moves, its noise left out: a velocity in its place has much of that at rest."""
+    """Return the motion of an angle without noise: the range of medians."""
     if len(x) < SETTINGS.pieces * 2:
         return float(np.ptp(x))
     return float(np.ptp([np.median(piece) for piece in np.array_split(x, SETTINGS.pieces)]))
 
 
 def _leaves_softly(x: np.ndarray, end: int) -> bool:
-    """Whether a column moves on from a run of equal values without a jump; not where it never does."""
+    """Return whether a column continues after a run of equal values without a jump."""
     steps = np.abs(np.diff(x))
     after = steps[end : end + 5]
     return end < len(x) and (not len(after) or steps[end - 1] <= 3 * float(after.max()) + 1e-12)
@@ -460,20 +489,21 @@ def _leaves_softly(x: np.ndarray, end: int) -> bool:
 def _clipped(
     columns: Mapping[str, np.ndarray], name: str, begins: np.ndarray, lengths: np.ndarray, limit: float
 ) -> np.ndarray:
-    """Samples at the largest or smallest value, where there are far more than of the values near it, and the joint moves."""
+    """Find samples at the largest or smallest value, if it is far more frequent than values near it and the joint moves."""
     x = columns[name]
-    values, counts = np.unique(x, return_counts=True)
+    edges = _edges(np.sort(x))  # of equal values
     found = [np.empty(0, int)]
-    if len(values) < 50:
+    if len(edges) <= 50:
         return found[0]
-    for end, near in ((-1, slice(-9, -1)), (0, slice(1, 9))):
-        mine = x[begins] == values[end]
+    # Counts of the extreme value, and of the eight values next to it.
+    for value, counts in ((x.max(), np.diff(edges[-10:])[::-1]), (x.min(), np.diff(edges[:10]))):
+        mine = x[begins] == value
         longest = int(lengths[mine].max())
-        if (mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]) + longest)) or _at(values[end], limit):
+        if (mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]) + longest)) or _at(value, limit):
             continue
-        if counts[end] >= SETTINGS.flat and longest >= 3 and counts[end] > SETTINGS.peaked * counts[near].max():
-            rows = np.flatnonzero(x == values[end])
-            # A pose that is held takes the same torque all the time.
+        if counts[0] >= SETTINGS.flat and longest >= 3 and counts[0] > SETTINGS.peaked * counts[1:].max():
+            rows = np.flatnonzero(x == value)
+            # A held pose has a constant torque.
             moved = [
                 _moved_within(columns[n], rows) > SETTINGS.driven * np.ptp(columns[n])
                 for n in POSITIONS
@@ -485,11 +515,11 @@ def _clipped(
 
 
 def _at(value: float, limit: float) -> bool:
-    """Whether a value is at what a column cannot pass, which is no sensor's end."""
+    """Return whether a value is at the physical limit of a column."""
     return abs(abs(value) / limit - 1) < 0.02
 
 
 def _moved_within(x: np.ndarray, rows: np.ndarray) -> float:
-    """By how much an angle moves within the longest run of some samples."""
+    """Return the largest motion of an angle within a run of samples."""
     runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     return max(float(np.ptp(x[run])) for run in runs)

@@ -1,17 +1,15 @@
-"""Recordings as the replay takes them: segments of smooth motion on an even grid, with the readings that it must explain.
+"""Prepare recordings for the replay: segments of smoothed motion on an even grid, with the readings to explain.
 
-Every channel of a segment goes through the same linear smoother (`estimator.motion`), so that where the joint is linear no
-smoothing error enters the comparison of torques computed from motion with torques that were measured. Each segment has *noise
-replicates*: the same motion and readings with the sensors' stated noise added a second time, drawn anew. The difference between
-the two tells what the noise of the motion does to a residual, at any parameters.
+Every channel of a segment goes through the same linear smoother (`estimator.motion`): for a linear joint, computed and measured
+torques then have no relative smoothing error. Each segment has a *noise replicate*: the same motion and readings with the
+sensors' stated noise drawn and added again. Their difference gives the effect of the motion's noise on a residual.
 
-With one encoder the other end's motion is not known. The rotor's motion then follows from the encoder that there is and the
-joint's description, and the link moves as the replay simulates it (`Segment.link_measured`).
+With one encoder, the rotor's motion follows from that encoder and the description; the replay simulates the link
+(`Segment.link_measured`).
 
-Where that encoder is the link's, what it sees of the gear's kinematic error and of the link's own swinging is not the rotor's
-motion: the rotor is taken to turn as the link does below the frequency at which the link swings against it, and evenly above.
-The gear's orders are then in the simulation alone, at full size, and readings need no smoothing that motion would. A torque
-sensor is held against the link's own motion.
+The link encoder alone also sees the gear's kinematic error and the link's resonance. The rotor then follows the link below the
+frequency of that resonance, and moves evenly above. The gear's orders are in the simulation alone, and readings need less
+smoothing than motion. A torque sensor is compared with the link's measured motion.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ STEP = 1e-3
 DECIMATION = 8
 """Replay steps per residual: one residual every 8 ms, the mean over a Hann window of 16 ms."""
 BALANCES = ("motor_current", "joint_torque", "link_balance")
-"""The torque balances of a joint, by what their residual is told in: current [A], transmission [N·m], link [N·m]."""
+"""Torque balances of a joint: current [A], transmission [N·m], link [N·m]."""
 CURRENT, TORQUE, LINK = range(len(BALANCES))
 ENCODERS = ("motor_position", "link_position")
 _WEIGHING = ("link_position", "joint_torque", "external_torque", "arm_torque")
@@ -45,22 +43,20 @@ UNITS = {"motor_current": "A", "joint_torque": "N·m", "link_balance": "N·m"}
 
 @dataclass(frozen=True)
 class SegmentSettings:
-    """How recordings become segments.
+    """Settings of segments.
 
     Attributes:
-      held_out_block, held_out_every: every n-th block of so many seconds is kept from the fit.
-      settle_time: at both ends of a segment, in which the smoother and the transmission are still settling [s].
+      held_out_block, held_out_every: length [s] of held-out blocks, every n-th of which is held out.
+      settle_time: at both ends of a segment, where smoother and transmission settle [s].
       settle_travel: of the rotor, after which the unknown initial state of the friction is forgotten [rad].
-      rest_travel: of the rotor within ±40 ms, below which neither its encoder's counts nor presliding friction average out
-        [rad].
-      shortest: segments of fewer samples or seconds are left out.
-      block: most residuals that count as one, where the motion is so slow that above some frequency it is noise alone.
-      above_noise: power of the measured acceleration over its noise's, from which on it is motion.
-      shaken: noise of the rotor's acceleration, as a current, over the current's own, beyond which more residuals count as one.
-      following: passband of the rotor's motion where the link's encoder stands for it, over the frequency at which the link as
-        described swings against a rotor that is held; slowest: the least that it is [Hz].
-      readings: passband of the smoother over the sampling rate for readings beside such a motion: they are not differentiated,
-        and a ripple is as fast as they are sampled.
+      rest_travel: of the rotor within ±40 ms, below which encoder counts and presliding friction do not average out [rad].
+      shortest: least samples and seconds of a segment.
+      block: most residuals that count as one, for slow motion with noise above.
+      above_noise: least power ratio of measured acceleration to its noise that counts as motion.
+      shaken: noise of the rotor's acceleration, as a current, over the current's noise above which more residuals count as one.
+      following: passband of the rotor's motion from the link encoder, over the described resonance of the link against a fixed
+        rotor; slowest: its least value [Hz].
+      readings: passband over sample rate of readings with such a motion; they are not differentiated.
     """
 
     held_out_block: float = 0.5
@@ -90,10 +86,9 @@ class Segment:
       time: of each replay step since the recording's start [s], shape (n,).
       rotor: motor encoder's reading and its two derivatives [rad], shape (n, 3).
       link: link encoder's reading and its two derivatives [rad], shape (n, 3); where it is not measured, as described.
-      rotor_measured: whether the motor's encoder was read; else the rotor's angle follows from the link's.
+      rotor_measured: whether there is a motor encoder; otherwise the rotor's angle follows from the link's.
       link_measured: whether the motion of both ends was measured; else the link's is simulated.
-      weighed: whether the link balance is of the link's measured motion: so with both encoders, and with the link's alone where
-        a torque sensor tells what moves it.
+      weighed: whether the link balance uses measured motion: with both encoders, or with a link encoder and a torque sensor.
       torque: joint torque reading [N·m], shape (n,); empty without a sensor.
       external: known torque on the link [N·m], shape (n,); arm: the part of it that other links of an arm make.
       temperature: [°C], shape (n,).
@@ -103,11 +98,10 @@ class Segment:
       measured: decimated readings of current and joint torque (zero where there is none), shape (k, 2).
       measured_rate, measured_bend: their first [1/s] and second [1/s²] derivatives in time, shape (k, 2).
       state: decimated θm, θl, θm', θl' and θl'', shape (k, 5), for weights and regressors.
-      load: what the joint gives the link [N·m]: the torque sensor's reading or, without one, what the link as it is
-        described and a known push ask for; shape (k,).
-      balances: which balances can be formed at all, shape (len(BALANCES),), bool.
+      load: joint torque on the link [N·m], shape (k,): measured, or from the described link and known pushes.
+      balances: which balances can be formed, shape (len(BALANCES),), bool.
       usable: which residuals count, shape (k, len(BALANCES)).
-      held_out: residuals kept from every fit, to measure what was gained, likewise.
+      held_out: residuals kept from every fit, same shape.
       at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
       passband: of the smoother, as turns per radian of a shaft that makes one in 1/fc: 1/(2π fc) [s].
       block: residuals that count as one (`SegmentSettings.block`).
@@ -185,24 +179,22 @@ def decimate(x: np.ndarray) -> np.ndarray:
 
 
 def pushed(recording: Recording) -> bool:
-    """Whether pushes that nobody measured may show in whatever a recording is held against: with both encoders the torsion has
-    them, with one nothing has, unless the link cannot move."""
+    """Return whether unmeasured pushes affect a recording's balances: with one encoder and a free link."""
     both = all(name in recording for name in ENCODERS)
     return recording.external == "unmeasured" and not both and not recording.link.locked
 
 
 def undisturbed(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings that count: those in which no unmeasured push shows (`pushed`), or all where it may in every one."""
+    """Return the recordings without unmeasured pushes (`pushed`), or all if every one may have them."""
     return [r for r in recordings if not pushed(r)] or list(recordings)
 
 
 def segments(
     recordings: Sequence[Recording | Conditioned], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
 ) -> tuple[list[Segment], list[Segment]]:
-    """Smooth every segment of every recording, which is conditioned first if it is not; returns the segments and their noise
-    replicates.
+    """Smooth every segment of every recording, conditioned or not; return segments and noise replicates.
 
-    What unmeasured pushes make of a recording with one encoder (`pushed`) does not count beside others, which have none.
+    Recordings with unmeasured pushes (`pushed`) do not count if there are others.
     """
     rng = np.random.default_rng(seed)
     found, replicates = [], []
@@ -224,7 +216,7 @@ def segments(
 
 
 def mirrored(segment: Segment, replicate: Segment) -> Segment:
-    """A segment's other noise replicate: what the first adds to motion and readings taken away from them."""
+    """Return the opposite noise replicate of a segment: its noise subtracted."""
     drawn = ("rotor", "link", "torque", "measured", "measured_rate", "measured_bend")
     return replace(segment, **{name: 2 * getattr(segment, name) - getattr(replicate, name) for name in drawn})
 
@@ -289,7 +281,7 @@ def _segment(
     state = decimate(np.column_stack([rotor[:, 0], link[:, 0], rotor[:, 1], link[:, 1], link[:, 2]]))
     measured = decimate(read)
     at_rest = _at_rest(state[:, 0], settings.rest_travel)
-    # With one encoder the sensor is held against the link's motion, as it was read or as it is simulated.
+    # With one encoder the sensor is compared with the link's motion, measured or simulated.
     transmitted = has["joint_torque"] and (link_measured or not weighed)
     balances = np.array([has["motor_current"], transmitted, weighed])
     usable, held_out = _usable(recording, index, at, state[:, 0], balances, has["joint_torque"], settle, settings)
@@ -304,17 +296,17 @@ def _segment(
         measured_bend=decimate(read_bend), state=state, load=load, balances=balances, usable=usable, held_out=held_out,
         at_rest=at_rest, passband=1 / (2 * np.pi * whole),
     )  # fmt: skip
-    # Above its passband a motion says nothing, and what friction does there is in the simulation alone.
+    # Above its passband a motion has no information.
     block = int(np.clip(0.5 / (STEP * DECIMATION * cutoff), 1, settings.block)) if one.rotor_measured else 1
     if link_measured and conditioned.stamps.error:
-        block = settings.block  # no replicate knows what wrong times make of a motion
+        block = settings.block  # replicates do not have errors of time
     elif link_measured:
         block = max(block, _block((rotor, link), (rotor_noise, link_noise), settings))
-        # The drive acts on the counts, which no replicate knows. To have less of what they make of a heavy rotor's acceleration
-        # a fit makes the rotor light and the motor strong. That noise falls with the power 5/2 of the frequency.
+        # The drive reacts to encoder counts, which replicates do not have. This biases a fit towards a light rotor and a strong
+        # motor. The noise decreases with frequency to the power 5/2.
         shakes, current = (float(np.std(decimate(x))) for x in (rotor_noise[:, 2], read_noise[:, CURRENT]))
         shakes *= float(p["Jm"] / p["Kt"])
-        # Beside a current that is not there, or of which no noise is described, nothing is loud.
+        # Without a current, or without its noise, there is no limit.
         while block < settings.block and current and shakes / block**2.5 > settings.shaken * current:
             block += 1
     one = replace(one, block=block)
@@ -331,7 +323,7 @@ def _segment(
 
 
 def _joined(first: Sequence[bool], one: Smooth, other: Smooth) -> Smooth:
-    """Some channels, shape (c,), of one smoothing, all others of another; both on the same grid."""
+    """Combine two smoothings on the same grid: channels in `first`, shape (c,), from the first one."""
     return Smooth(
         one.time,
         np.where(first, one.value, other.value),
@@ -341,7 +333,7 @@ def _joined(first: Sequence[bool], one: Smooth, other: Smooth) -> Smooth:
 
 
 def _channels(conditioned: Conditioned, part: slice, joint: Joint, p: np.void, rng: np.random.Generator):
-    """Channels of a segment by name, and another draw of their noise; shape (n,) each."""
+    """Return channels of a segment by name, and another draw of their noise; shape (n,) each."""
     s, recording = joint.sensors, conditioned.recording
     time = recording.time[part]
     columns = {name: values[part] for name, values in recording.columns.items()}
@@ -349,7 +341,7 @@ def _channels(conditioned: Conditioned, part: slice, joint: Joint, p: np.void, r
     present = [name for name in encoders if name in columns]
 
     def as_read(name: str, noise: np.ndarray) -> np.ndarray:
-        """Noise as a channel has it that is not read anew with every sample."""
+        """Return the noise of a channel with repeated readings."""
         if name not in conditioned.news:
             return noise
         fresh = conditioned.news[name][part]
@@ -373,10 +365,9 @@ def _channels(conditioned: Conditioned, part: slice, joint: Joint, p: np.void, r
 
 
 def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None:
-    """The motion of the encoder that is not there, from the other and the joint's description; in place.
+    """Add the missing encoder's motion from the other one and the description, in place.
 
-    The transmission's wind-up under the link's own weight and inertia, and its kinematic error: what the replay then simulates
-    differs from it by what the description does not know.
+    It includes wind-up under the link's weight and inertia, and the kinematic error.
     """
     known = "motor_position" if "motor_position" in columns else "link_position"
     missing = "link_position" if known == "motor_position" else "motor_position"
@@ -392,7 +383,7 @@ def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None
 
 @kernel
 def _other_end(known, is_link, v, a, since, p, out):
-    """Rotor angle of a link's, or link angle of a rotor's [rad], springs in equilibrium under the link's own load."""
+    """Compute rotor angles from link angles, or the reverse [rad], with springs in equilibrium under the link's load."""
     for i in range(len(known)):
         if is_link:
             link = dynamics.actual_link_position(known[i], p.N * known[i], p.N * v[i], since[i], p)
@@ -408,12 +399,11 @@ def _other_end(known, is_link, v, a, since, p, out):
 
 
 ENOUGH = 0.1
-"""Share of the residuals that must be kept from the fits to judge by them: in a short recording one block may be all."""
+"""Least share of held-out residuals to judge a fit."""
 
 
 def in_held_out_block(time: np.ndarray, index: int, settings: SegmentSettings = SETTINGS) -> np.ndarray:
-    """Whether times since a recording's start [s], shape (n,), lie in blocks that are kept from the fits; `index`: of the
-    recording in its measurement."""
+    """Return whether times [s] since a recording's start, shape (n,), are held out; `index`: of the recording."""
     block = np.floor(time / settings.held_out_block).astype(int) + index
     return block % settings.held_out_every == settings.held_out_every - 1
 
@@ -427,7 +417,7 @@ def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, sett
     usable = np.empty((len(at), len(BALANCES)), bool)
     usable[:, CURRENT] = begun
     usable[:, TORQUE] = begun
-    # Without a torque sensor the torsion would have to be as precise as the masses of an arm.
+    # Without a torque sensor, the torsion is less accurate than an arm's mass model.
     weighed = recording.external != "unmeasured" and (has_torque or recording.load is None)
     usable[:, LINK] = (settled if has_torque else begun) & weighed
     usable &= balances
@@ -435,22 +425,21 @@ def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, sett
 
 
 def _own_torque(p: np.void, state: np.ndarray) -> np.ndarray:
-    """Torque [N·m] that gravity and inertia of the link ask for, shape (k,)."""
+    """Return the torque [N·m] of the link's gravity and inertia, shape (k,)."""
     return p["Mg"] * np.sin(state[:, 1] + p["gravity_angle"]) + p["Jl"] * state[:, 4]
 
 
 def _at_rest(theta_m: np.ndarray, travel: float) -> np.ndarray:
-    """Where the rotor travels less than `travel` within ±40 ms, and 24 ms around that."""
+    """Return where the rotor travels less than `travel` within ±40 ms, and 24 ms around, shape (k,), bool."""
     low = minimum_filter1d(theta_m, 11)
     high = maximum_filter1d(theta_m, 11)
     return maximum_filter1d((high - low < travel).astype(np.int8), 7).astype(bool)
 
 
 def _block(motions, noises, settings: SegmentSettings) -> int:
-    """How many residuals count as one: as many as leave the frequencies in which the joint moves.
+    """Return how many residuals count as one, which keeps the frequencies of the motion.
 
-    The replay turns the noise of the acceleration into noise of its derivatives in the inertias and dampings. Where the
-    joint does not move, they are nothing else: least squares would fit the noise with itself (errors in variables).
+    Above them, acceleration is noise alone, and least squares would be biased (errors in variables).
     """
     from scipy.signal import welch
 
@@ -467,14 +456,11 @@ def _block(motions, noises, settings: SegmentSettings) -> int:
 
 
 _SHIFT = 1 / 3
-"""Zero of the other draw, in counts: nearer to the reading's own, its smoothed angle falls on the same counts again."""
+"""Zero of the other draw, in counts; a smaller one reproduces the same counts."""
 
 
 def _encoder_noise(time: np.ndarray, reading: np.ndarray, encoder: EncoderSpec, rng: np.random.Generator) -> np.ndarray:
-    """Another draw of an encoder's error [rad]: noise, and the counts as they fall with another zero.
-
-    At rest the error of the counts is a constant, and so it is here.
-    """
+    """Draw an encoder's error again [rad]: noise, and counts with another zero; constant at rest."""
     motion = smooth(time, reading[:, None], float(np.median(np.diff(time))))
     angle = np.interp(time, motion.time, motion.value[:, 0]) + _SHIFT * encoder.resolution
     noisy = angle + encoder.noise * rng.standard_normal(len(time))

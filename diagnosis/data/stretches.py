@@ -1,12 +1,13 @@
-"""What of a long measurement tells most: stretches that together cover angle, speed, direction, load, temperature and reversals.
+"""Select the most informative parts of a long measurement: they cover angle, speed, direction, load, temperature and reversals.
 
-A diagnosis takes time and memory by the samples that it replays, and an hour of the same motion tells no more than minutes of it.
+Time and memory of a diagnosis grow with the number of samples; an hour of the same motion adds little to minutes of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -14,16 +15,16 @@ from ...models.recording import Measurement, Recording
 from ...models.signals import DRIVING, POSITIONS
 
 LONGEST = 100.0
-"""Seconds of a measurement that a diagnosis takes."""
+"""Seconds of a measurement that a diagnosis uses."""
 _PIECE = 5.0  # s
 _COARSE = 0.02  # s between the samples that are looked at
 _BINS = 10  # of each quantity, over its range
 
 
 def most_telling(measurement: Measurement, seconds: float = LONGEST) -> Measurement:
-    """The measurement, or of a longer one so many seconds: pieces of its recordings, the one that adds most taken first.
+    """Return a measurement of at most `seconds`, from pieces of its recordings that add most, chosen greedily.
 
-    A recording's pieces are as far from its begin as they were; one of which nothing is taken is left out.
+    Pieces keep their time; recordings without a chosen piece are left out.
     """
     if sum(r.time[-1] - r.time[0] for r in measurement.recordings) <= seconds:
         return measurement
@@ -51,8 +52,13 @@ def most_telling(measurement: Measurement, seconds: float = LONGEST) -> Measurem
     return replace(measurement, recordings=tuple(kept))
 
 
+def shortened(recording: Recording, seconds: float) -> Recording:
+    """Return the most informative seconds of one recording (`most_telling`)."""
+    return most_telling(Measurement(recording.name, Path(), (recording,)), seconds).recordings[0]
+
+
 def _pieces(recording: Recording) -> Iterator[slice]:
-    """Its parts without gaps, in pieces of about the same length."""
+    """Yield pieces of about `_PIECE` seconds of each segment."""
     for part in recording.segments:
         count = max(round((recording.time[part.stop - 1] - recording.time[part.start]) / _PIECE), 1)
         edges = np.linspace(part.start, part.stop, count + 1).astype(int)
@@ -60,7 +66,7 @@ def _pieces(recording: Recording) -> Iterator[slice]:
 
 
 def _covered(recordings: Sequence[Recording], pieces: Sequence[tuple[int, slice]]) -> np.ndarray:
-    """Seconds that each piece, of a recording by its index, spends in each bin of each quantity, shape (pieces, bins)."""
+    """Return the seconds of each piece in each bin of each quantity, shape (pieces, bins)."""
     steps = [max(round(_COARSE / r.interval), 1) for r in recordings]
     seen = [_quantities(r, step) for r, step in zip(recordings, steps, strict=True)]
     columns = []
@@ -78,8 +84,10 @@ def _covered(recordings: Sequence[Recording], pieces: Sequence[tuple[int, slice]
 
 
 def _quantities(recording: Recording, step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Angle, speed, size of the acceleration, torque or current, temperature, age and where it last turned back, of some
-    samples, shape (7, n); and whether it goes forward, shape (n,)."""
+    """Return quantities of every `step`-th sample, shape (7, n), and whether it moves forward, shape (n,).
+
+    Quantities: angle, speed, size of the acceleration, torque or current, temperature, age, angle of the last reversal.
+    """
     time = recording.time[::step]
     x = recording[next(name for name in POSITIONS if name in recording)][::step]
     drive = recording[next(name for name in DRIVING if name in recording)][::step]

@@ -27,7 +27,7 @@ TIMING = np.array([0.5e-3, 1.0e-3])
 """Prior standard deviation of the time offset of current and joint torque samples against the description [s]: drives filter
 currents at 150 Hz and more, amplifiers and buses of torque sensors take up to 2 ms."""
 LATEST = 6e-3
-"""Largest time offset [s]: more than 5 ms is a mistake in the data (`data.lateness`)."""
+"""Largest time offset [s]: more than 5 ms is a mistake in the data (`data.time_offsets`)."""
 CROSSTALK = 0.01
 """Prior standard deviation of the torque sensor's crosstalk, the link's weight across its axis over the cosine of its angle:
 share of the gravity moment (data sheets of six-axis sensors: 1 to 2 % of the load)."""

@@ -252,7 +252,7 @@ class Explorer:
     ) -> Iterable[tuple[int, Judged, float]]:
         """Yield models without one of some causes, unless it is clearly needed, and the loss of log likelihood of each."""
         for i in indices:
-            less, lost = _without(self.problem, linear, i)
+            less, lost = without(self.problem, linear, i)
             if lost < 4 * WINDOW * post.temper:
                 f = self._fit(less.model, less.theta, best, best)
                 if np.isfinite(f.log_evidence):
@@ -272,7 +272,7 @@ class Explorer:
         pairs += [(i, j) for i in own for j in range(len(best.model)) if j != i and _correlated(problem, best, i, j)]
         pairs = list({frozenset(pair): pair for pair in pairs}.values())
         for gone in pairs:
-            less, gained = _without(problem, linear, *gone)
+            less, gained = without(problem, linear, *gone)
             left = library.keeping(problem.with_room(less.model, library.hypotheses))
             for x in ranked(problem, less, left)[:2]:
                 if x.gain < NEAR * gained:
@@ -302,7 +302,7 @@ def _correlated(problem: Problem, f: Fit, i: int, j: int) -> bool:
     return bool(np.max(correlation**2) > 0.5)
 
 
-def _without(problem: Problem, best: Fit, *indices: int) -> tuple[Fit, float]:
+def without(problem: Problem, best: Fit, *indices: int) -> tuple[Fit, float]:
     """Return a fit without some causes in the linear model, the other unknowns answering, and its loss of log likelihood."""
     where, keep, u = alone(problem, best, *indices)
     V = best.covariance

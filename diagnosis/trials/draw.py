@@ -2,7 +2,7 @@
 
 A draw is a joint within its tolerances, three motions and an effect (or none, two, one outside the library). The MuJoCo
 plant under the drive's quantised controller produces the recordings; diagnosis sees these and the nominal joint, nothing
-else. Every draw has a random stream of its own, made from seed and index: results do not depend on the number of jobs,
+else. Every draw has its own random stream from seed and index: results do not depend on the number of jobs,
 and a draw at another size is the same draw, larger or smaller.
 """
 
@@ -42,11 +42,11 @@ class Challenge:
       joint: name of, or path to, the nominal joint.
       seed: of every random stream.
       hidden: one effect, two, one outside the library, or none.
-      exact: the joint has exactly its nominal numbers, and diagnosis is told a description without tolerances.
+      exact: the joint has exactly its nominal numbers, and the diagnosed description has no tolerances.
       real: with the small imperfections that every real joint has (`imperfections`).
       sensor: with the joint torque sensor, at 1 kHz; without it irregularly at about 250 Hz, single samples missing.
       without: channels that are not recorded.
-      scenarios: names or paths of scenarios to use instead of motions drawn anew.
+      scenarios: names or paths of scenarios to use instead of random motions.
       only: names of the causes (or effects outside the library) to draw from, all where empty.
     """
 
@@ -101,7 +101,7 @@ class Challenge:
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """A hidden effect: name (`unknown` outside the library), component, parameters, what it is, how to put it in a record."""
+    """A hidden effect: name (`unknown` outside the library), component, parameters, description, and its change of a record."""
 
     name: str
     component: str
@@ -118,7 +118,7 @@ class Draw:
       effects: hidden.
       records: of the true joint with its effects, one a recording, shape (1,) each.
       measurement: what diagnosis sees.
-      nominal: the joint that it is told.
+      nominal: the described joint.
       imperfections: of the true joint and its sensors, where they were drawn.
     """
 
@@ -168,7 +168,7 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
 
 
 _REDRAWN = 40
-"""Joints drawn for an effect before the effect is drawn anew too: it may be within tolerance of nearly all of them."""
+"""Joints drawn for an effect before a new effect is drawn: it may be within tolerance of nearly all."""
 
 
 def _beyond_tolerance(
@@ -193,7 +193,7 @@ def _drowned(name: str) -> frozenset[str]:
 
 
 def drowned(joint: Joint) -> frozenset[str]:
-    """Causes whose ordinary sizes the tolerances of a joint express, whatever they are: nothing tells them from calibration."""
+    """Return the causes whose ordinary sizes are within the joint's tolerances: they are confounded with calibration."""
     calibration, record = Calibration(joint), joint.record()[0]
     x = np.zeros(calibration.size)
 

@@ -1,8 +1,7 @@
 """Imperfections that every real joint has, each too small to be a cause: `challenge --real` puts them on top of a drawn joint.
 
 Sizes are those of the test joint, scaled to others: torques with the rated torque, currents with what that torque draws,
-angles of the transmission with its wind-up under that torque. Angles of encoders are what encoders have, whatever joint
-they sit in.
+angles of the transmission with its wind-up under that torque. Errors of encoders do not depend on the joint.
 """
 
 from __future__ import annotations

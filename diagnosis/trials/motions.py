@@ -1,4 +1,4 @@
-"""Motions of a trial, drawn anew for each draw, and what the sensors read while a joint follows them."""
+"""Random motions of a trial, and the sensors' readings while a joint follows them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CONTROLLER = Controller(kp=8.0, kd=0.08, ki=20.0)
 def motions(
     rng: np.random.Generator, free: str = "no_load", link: str = "link", strength: float = 1.0
 ) -> list[Scenario]:
-    """Three motions drawn anew, about 85 s: bare joint to both sides; link to both sides; link held and pushed.
+    """Draw three motions, about 85 s: bare joint to both sides; link to both sides; link held and pushed.
 
     Args:
       free, link: mountings.

@@ -35,7 +35,7 @@ def _put(
     slot = int(np.flatnonzero(p["discrepancy_place"] == 0)[0])
     n = N_COEFFICIENTS
     knots = low + (np.arange(n) - 1) / (n - 3) * (high - low)
-    # Values at the knots are (c₋ + 4c + c₊)/6: solve for the coefficients, ends continued as they are.
+    # Values at the knots are (c₋ + 4c + c₊)/6: solve for the coefficients, ends continued.
     A = (np.diag(np.full(n, 4.0)) + np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)) / 6.0
     A[0, 0] = A[-1, -1] = 5.0 / 6.0
     p["discrepancy_place"][slot], p["discrepancy_variable"][slot] = PLACES.index(place), VARIABLES.index(variable)

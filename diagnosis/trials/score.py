@@ -80,7 +80,7 @@ class Outcome:
 
     @property
     def named(self) -> list[str]:
-        """Names of the causes found, first the one that is worth most."""
+        """Names of the causes found, the largest contribution first."""
         return [c["name"] for c in self.causes]
 
     def is_there(self, cause: dict[str, Any]) -> bool:
@@ -100,7 +100,7 @@ class Outcome:
 
     @property
     def first_beside_imperfections(self) -> bool:
-        """Whether the first cause is hidden when imperfections that are there, which may be worth more, are set aside."""
+        """Whether the first cause is hidden, without present imperfections, which may contribute more."""
         named = (c["name"] for c in self.causes if c["name"] in self.hidden or not self.is_there(c))
         return next(named, None) in self.hidden
 
@@ -205,9 +205,9 @@ def _named(effect: HiddenEffect, found: Diagnosis) -> Finding | None:
 
 
 def smallest_size(found: Diagnosis, nominal: Joint, effect: HiddenEffect) -> float | None:
-    """Size of an effect, in units of its own, that is `DETECTED` standard deviations: Fisher information's limit.
+    """Return the size of an effect, in its units, that is `DETECTED` standard deviations: Fisher information's limit.
 
-    The information about the size is what is left after every calibration variable, within its tolerance, has answered, in the
+    The information about the size is the Schur complement after all calibration variables, within tolerance, under the
     noise and model discrepancy that were learned. None where nothing was computed.
     """
     if found.problem is None or found.search is None or found.final is None:

@@ -99,7 +99,7 @@ def one_line(err: str) -> str:
 
 def test_the_answer_is_legible_in_80_columns():
     gained = Improvement("joint_torque", "RAREKF", {"payload_smoothed": (1.23, 0.109)}, (), 0.03, "the description", ())
-    mistake = Mistake("unit", "motor_position", "sweep", "degrees taken for radians", 0.99, factor=0.0174533)
+    mistake = Mistake("unit", "motor_position", "sweep", "degrees, logged as radians", 0.99, factor=0.0174533)
     found = answered(mistakes=(replace(mistake, severe=False),))
     text = printed(found, gained)
     assert max(map(len, text.splitlines())) <= 80
@@ -107,7 +107,7 @@ def test_the_answer_is_legible_in_80_columns():
     flat = " ".join(text.split())
     for part in (
         "discrepancy:",
-        "unit: sweep, motor_position: degrees taken for radians (99 % sure); mended by: × 0.0174533",
+        "unit: sweep, motor_position: degrees, logged as radians (99 % sure); corrected by: × 0.0174533",
         "position dependent friction (transmission): 99 % sure, explains 90 %, 0.41 N·m RMS (2.6 % of the rated torque)",
         "amplitude = 0.00812 ± 0.00012 N·m", "motor current 0.0512 0.0104 0.01 A",
         "estimate, payload smoothed 1.23 0.109 0.03 N·m",

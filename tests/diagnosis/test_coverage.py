@@ -124,7 +124,8 @@ def test_nothing_shows_in_fewer_samples_than_a_diagnosis_takes():
 
 def test_everything_shows_in_a_full_measurement_but_what_has_no_column():
     reasons = undetermined(measurement(temperature=np.full(7000, 25.0)), JOINT)
-    assert set(reasons) <= {"friction_temperature", "hard_stop"}
+    assert set(reasons) <= {"arm_load", "friction_temperature", "hard_stop"}
+    assert "no recording is of an arm" in reasons["arm_load"]
     assert "changes by 0 K" in reasons["friction_temperature"]
     assert set(reasons) <= set(causes.of(JOINT))
 

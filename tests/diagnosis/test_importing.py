@@ -161,7 +161,7 @@ def test_parts_of_a_sum_may_have_a_factor_with_a_unit(tmp_path):
         (LOG.replace(";200;", ";inf;"), ["'i'", "row 1"]),
         (LOG.splitlines()[0] + "\n", ["header alone"]),
         ("", ["empty"]),
-        (LOG.replace(";junk", ";i"), ["'i'", "stands 2 times"]),
+        (LOG.replace(";junk", ";i"), ["'i'", "found 2 times"]),
     ],
 )
 def test_a_bad_log_is_named(tmp_path, text, words):

@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 import flexspline
 from benchmarks.mistakes import Hidden, cuts, examples, hidden_mistakes, hide
 from flexspline import commands
-from flexspline.diagnosis.data import lateness
-from flexspline.diagnosis.data.lateness import SETTINGS, late_columns
+from flexspline.diagnosis.data import time_offsets
 from flexspline.diagnosis.data.mistakes import find_mistakes, mended
 from flexspline.diagnosis.data.samples import jumps, parted
+from flexspline.diagnosis.data.time_offsets import SETTINGS, late_columns
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.models.arm import ArmSpec
@@ -146,7 +146,7 @@ def test_nothing_is_claimed_of_sound_data_that_are_cut_short(shared, seed):
     assert len(claims) <= 0.02 * count
 
 
-def test_one_way_says_nothing_of_lateness():
+def test_motion_in_one_direction_shows_no_time_offset():
     """Of one pass later is another angle; forth and back it is told."""
     r, late = recording(seconds=10.0), 40
     pushed = r["joint_torque"] + 4.0 * np.exp(-0.5 * ((r["link_position"] - 0.2) / 0.08) ** 2)
@@ -220,7 +220,7 @@ def test_an_encoder_is_late_only_where_the_other_one_says_so(monkeypatch):
             least_at("motor_position", "motor_current", -0.05), least_at("motor_position", "joint_torque", -0.05),
             least_at("motor_position", "link_position", between),
         ]  # fmt: skip
-        monkeypatch.setattr(lateness, "_relations", lambda recording, joint, found=relations: found)
+        monkeypatch.setattr(time_offsets, "_relations", lambda recording, joint, found=relations: found)
         found = [f.column for f, _ in late_columns((recording(),), JOINT)]
         assert found == (["motor_position"] if late else []), between
 
@@ -268,7 +268,7 @@ def test_a_current_without_its_sign_is_lost():
         mended(spoilt, JOINT, (found,)).recordings[0]["motor_current"], np.abs(r["motor_current"])
     )
     answer = diagnose(spoilt, JOINT)
-    assert answer.verdict == "inconclusive" and "nothing in the file mends that" in answer.reason
+    assert answer.verdict == "inconclusive" and "the file cannot be corrected" in answer.reason
     # One that drives one way only is none.
     lifted = measurement(replace(r, columns={**r.columns, "motor_current": r["motor_current"] + 10.0}))
     assert all(m.description != found.description for m in find_mistakes(lifted, JOINT))
@@ -500,7 +500,7 @@ def test_check_says_it_and_import_mends_it(tmp_path):
     assert told["factor"] == pytest.approx(math.pi / 180, rel=1e-5)
     assert "stiffness" in report["can_show"] and "friction_temperature" in report["undetermined"]
     shown = CliRunner().invoke(commands.app, ["check", str(tmp_path / "in")])
-    assert "degrees taken for rad" in shown.output and "0.0174533" in shown.output
+    assert "degrees, logged as rad" in shown.output and "0.0174533" in shown.output
     arguments = ["import", str(tmp_path / "in"), "--fix", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(commands.app, arguments)
     assert result.exit_code == 0, result.output

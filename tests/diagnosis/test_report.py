@@ -190,7 +190,7 @@ def test_page_begins_with_what_was_found_how_sure_and_what_to_do(report):
 
 
 def test_commands_to_copy_are_what_the_command_line_takes(report, typed):
-    mistake = Mistake("unit", "motor_current", "sweep", "milliamperes taken for amperes", 0.99, factor=1e-3)
+    mistake = Mistake("unit", "motor_current", "sweep", "milliamperes, logged as amperes", 0.99, factor=1e-3)
     mended = replace(report, diagnosis=replace(report.diagnosis, mistakes=(mistake,)))
     assert report.diagnosis.problem is not None and not report.diagnosis.mistakes
     assert len(typed(html(report))) == 4 and len(typed(html(mended))) == 6
@@ -356,7 +356,7 @@ def test_a_measurement_that_made_no_sense_has_a_page_too(report, tmp_path):
     assert "Correct the data first" in text and "none is ruled out" in text and "No candidate experiment" not in text
     lost = replace(wrong, name="sign", description="its magnitude without its sign", lost=True)
     _, text = read(html(replace(blank, diagnosis=replace(nothing, mistakes=(lost,)))))
-    assert "Measure again" in text and "nothing in the file mends that" in text and "Correct the data first" not in text
+    assert "Measure again" in text and "the file cannot be corrected" in text and "Correct the data first" not in text
     assert write_rerun_report(blank, tmp_path / "report.rrd").stat().st_size > 100
 
 

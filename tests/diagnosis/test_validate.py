@@ -195,7 +195,7 @@ def test_an_untared_zero_is_said_where_it_is_most_of_the_error(tmp_path, flexspl
     write_recording(shifted, tmp_path / "data")
     code, out, _ = flexspline("validate", tmp_path / "data", "--joint", "test-joint", "--out", tmp_path / "out")
     said = " ".join(out.split())
-    assert code == 0 and "the description leaves its zero open" in said, said
+    assert code == 0 and "the description does not know its zero" in said, said
 
 
 def test_a_column_in_other_units_is_no_coarser_sensor():

@@ -93,9 +93,9 @@ def test_what_was_mended_is_in_yaml_table_and_reports(tmp_path):
     write_recording(replace(r, columns=columns), tmp_path / "in")
     run = CliRunner().invoke
     assert run(commands.app, ["import", str(tmp_path / "in"), "--fix", "--out", str(tmp_path / "out")]).exit_code == 0
-    assert "mA taken for A" in (tmp_path / "out" / "swing.yaml").read_text(encoding="utf-8")
+    assert "mA, logged as A" in (tmp_path / "out" / "swing.yaml").read_text(encoding="utf-8")
     assert (
-        b"mA taken for A"
+        b"mA, logged as A"
         in pyarrow.parquet.read_schema(tmp_path / "out" / "swing.parquet").metadata[b"flexspline.fixed"]
     )
     (said,) = json.loads(run(commands.app, ["check", str(tmp_path / "out"), "--json"]).stdout)["fixed"]

@@ -683,8 +683,8 @@ def test_the_page_of_an_arm_goes_from_its_base_to_its_tip(flexspline, typed, tmp
 TIME = np.arange(0.0, 8.0, 0.004)
 
 
-UNSURE = {"column": "motor_current", "description": "mA taken for A", "severe": True, "sure": False}
-MINOR = {"column": "position_command", "description": "does not move at all", "severe": False, "sure": True}
+UNSURE = {"column": "motor_current", "description": "mA, logged as A", "severe": True, "sure": False}
+MINOR = {"column": "position_command", "description": "does not move", "severe": False, "sure": True}
 
 
 def validated(folder: Path, off: float = 0.0, mistakes: tuple[str | dict, ...] = (), gap: bool = False) -> Path:
@@ -731,7 +731,7 @@ def validated(folder: Path, off: float = 0.0, mistakes: tuple[str | dict, ...] =
         (0.5, (), "does not predict motor current: motor current is off by 0.36 A RMS", ["diagnose", "plan"]),
         (
             0.5,
-            ("mA taken for A",),
+            ("mA, logged as A",),
             "The data have a mistake, so that they show nothing about test-joint: mA",
             ["check"],
         ),

@@ -1,13 +1,12 @@
-"""Columns that are late against the others: each relation between two of them, at every shift of one against the other.
+"""Find columns with a time offset, from each relation between two columns at every shift of one against the other.
 
     motor and link encoder     θm/N − θl is wind-up: a sum of known shapes of the motion
     drive and each encoder     N Kt i is gravity, inertia and friction: shapes of that encoder's motion
     torque and each encoder    Ts is gravity and inertia, likewise
 
-Where the link went one way only, later is another angle: what counts are angles that it went through in either direction.
-Shapes are free here (their sizes were looked at before); what a shift leaves unexplained says how well it suits. A late column
-shifts all relations that it is in, and no other: that tells whose fault it is. A link encoder that is late by less than what
-`encoder_delay` may be, and what sensors and filters are late anyway, is no mistake.
+With motion in one direction a delay looks like another angle: only angles passed in both directions count. The shapes have
+free coefficients; the unexplained part at each shift measures the fit. A late column shifts all of its relations and no other,
+which identifies it. Ordinary delays of encoders, sensors and filters are not mistakes.
 """
 
 from __future__ import annotations
@@ -22,10 +21,11 @@ from ...models.joint import Joint
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
 from .changes import Mistake
+from .stretches import shortened
 
 
 @dataclass(frozen=True)
-class LatenessSettings:
+class TimeOffsetSettings:
     """When a column is late.
 
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
@@ -35,51 +35,46 @@ class LatenessSettings:
     farthest: float = 0.3  # largest shift [s]
     cutoff: float = 12.0  # of the smoother [Hz]
     bin: float = 4e-3  # over which samples are averaged before [s]
-    effective: tuple[float, float] = (
-        6.0,
-        60.0,
-    )  # samples that a second of a relation counts as, and a recording at the most
+    # effective samples of a relation per second, and at most per recording
+    effective: tuple[float, float] = (6.0, 60.0)
     sure: float = 7.0  # gain in log likelihood from which on a column is late
     worse: float = -3.0  # loss in a recording from which on not all have it
     one_of_several: float = 12.0  # more gain that it takes where not all have it
-    # more gain that it takes per second beyond `near` [s]: what is so late fits nothing, and suits no shape a little
+    # added gain per second beyond `near`
     far_off: float = 300.0
     near: float = 0.03  # [s]
     sliding: float = 2.5  # Stribeck velocities above which friction is known by its direction
     hats: int = 24  # pieces of the angle, whose functions gravity, cables, stops and the like are
+    longest: float = 600.0  # of a recording, the most informative part [s]
     fewest: int = 200  # samples that a relation takes
     most: int = 2500  # samples that are looked at
-    # of what a relation of positions, of current or motor torque, and of joint torque leaves unexplained the least that counts,
-    # in what the rated torque makes of it: the shapes are no better, whatever they happen to leave
+    # least residual of a relation of positions, of current or motor torque, and of joint torque, over its value at rated torque:
+    # the shapes are not more accurate
     wind_up: float = 0.1
     drive: float = 0.01  # likewise
     torque: float = 0.001  # likewise
-    beside: float = 0.03  # distance from the best shift [s] at which it must be worse by `peaked`
+    side: float = 0.03  # distance from the best shift [s] at which it must be worse by `peaked`
     peaked: float = 4.0  # in log likelihood
     # by how much the link encoder is late in sound data, by `encoder_delay`, sensors and filters [s]
     ordinary_link: tuple[float, float] = (-2e-3, 14e-3)
     ordinary: tuple[float, float] = (-2e-3, 5e-3)  # the same of all other columns [s]
-    # gain in log likelihood of the relation between both encoders, from which on one of them may be late: what nobody stated (a
-    # push, a base that shakes) enters all others
+    # least gain in log likelihood of the encoders' relation for a late encoder: unmeasured effects disturb all other relations
     between: float = 2.0
     travel: float = 0.05  # of the link, below which motion says nothing [rad]
     moving: float = 0.02  # speed over the largest from which on the link goes somewhere
-    alone: float = 3.0  # times as much of it, where one encoder alone says so
-    fits: float = (
-        0.08  # residual over spread of a drive's torque that fits where it is not late; of others twice as much
-    )
+    alone: float = 3.0  # times `sure`: threshold of a single relation
+    fits: float = 0.08  # residual over spread of a drive's torque that fits; twice as much for other relations
     alike: float = 0.2  # gain of either encoder's relation over the mean, where a torque is late
-    # share of the time that the joint moves at the least, for a drive's torque to be held against its motion
+    # least share of time in motion to compare a drive's torque with the motion
     goes: float = 0.25
 
 
-SETTINGS = LatenessSettings()
+SETTINGS = TimeOffsetSettings()
 
 
 @dataclass(frozen=True)
 class _Relation:
-    """What two columns leave unexplained at each shift of the second against the first: log likelihood lost, shape (d,), and
-    whether no more than counts."""
+    """Log likelihood lost at each shift of the second column against the first, shape (d,), and whether the residual fits."""
 
     first: str
     second: str
@@ -87,13 +82,12 @@ class _Relation:
     fits: np.ndarray
 
 
-def _shifts() -> np.ndarray:
-    n = round(SETTINGS.farthest / SETTINGS.step)
-    return SETTINGS.step * np.arange(-n, n + 1)
+_REACH = round(SETTINGS.farthest / SETTINGS.step)
+_SHIFTS = SETTINGS.step * np.arange(-_REACH, _REACH + 1)
 
 
 def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[tuple[Mistake, tuple[int, ...]], ...]:
-    """The column that is late, of a measurement in which all else is right, and the recordings that have it: all, or some."""
+    """Find the late columns of a measurement without other mistakes, each with its recordings by index."""
     relations = [_relations(recording, joint) for recording in recordings]
     best = _latest([r for found in relations for r in found])
     if best is not None and all(_gain(found, best[0], best[1]) >= SETTINGS.worse for found in relations):
@@ -117,17 +111,14 @@ def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[tuple[M
 
 
 def _late(name: str, seconds: float, gain: float, having: tuple[int, ...]) -> tuple[Mistake, tuple[int, ...]]:
-    text = f"{1e3 * seconds:.3g} ms late against the others"
-    return Mistake("late", name, "", text, _probability(gain), seconds=seconds), having
-
-
-def _probability(gain: float) -> float:
-    return float(1 / (1 + np.exp(-min(gain - SETTINGS.sure, 50.0) / 3)))
+    text = f"{1e3 * seconds:.3g} ms later than the others"
+    probability = float(1 / (1 + np.exp(-min(gain - SETTINGS.sure, 50.0) / 3)))
+    return Mistake("late", name, "", text, probability, seconds=seconds), having
 
 
 def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
-    """The column whose lateness explains most: its name, by how much [s], and the gain."""
-    shifts = _shifts()
+    """Return the time offset that explains most: column, offset [s] and gain."""
+    shifts = _SHIFTS
     best: tuple[str, float, float] | None = None
     pairs = [r for r in relations if r.second in POSITIONS]
     for name in sorted({r.first for r in relations} | {r.second for r in relations}):
@@ -139,28 +130,25 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
                 best = (name, d, gain)
     if best is None:
         return None
-    # The best shift of all, small ones of the other columns left aside.
     name = best[0]
     mine = [r for r in relations if name in (r.first, r.second)]
-    if best[2] < SETTINGS.sure * (
-        SETTINGS.alone if name in DRIVING and len({r.first for r in mine}) == 1 else 1.0
-    ):  # one encoder alone says so
+    if best[2] < SETTINGS.sure * (SETTINGS.alone if len(mine) == 1 else 1.0):
         return None
     left = np.sum([r.left if r.second == name else r.left[::-1] for r in mine], axis=0)
     near = np.where(np.abs(shifts - best[1]) < 0.02, left, np.inf)
     i = int(np.argmin(near))
     gains = [_gain([r], name, best[1]) for r in mine]
     by = [sum(g for g, r in zip(gains, mine, strict=True) if r.first == one) for one in {r.first for r in mine}]
-    if name in DRIVING[:2] and min(by) < SETTINGS.alike * sum(by) / len(by):  # of a torque both encoders say so
+    if name in DRIVING[:2] and min(by) < SETTINGS.alike * sum(by) / len(by):  # both encoders must agree
         return None
-    said = [r for g, r in zip(gains, mine, strict=True) if g > 0.1 * sum(gains)]
-    if not all((r.fits if r.second == name else r.fits[::-1])[i] for r in said):
+    supporting = [r for g, r in zip(gains, mine, strict=True) if g > 0.1 * sum(gains)]
+    if not all((r.fits if r.second == name else r.fits[::-1])[i] for r in supporting):
         return None
-    side = round(SETTINGS.beside / SETTINGS.step)
+    side = round(SETTINGS.side / SETTINGS.step)
     if not side <= i < len(shifts) - side:
         return None
     rise = min(left[i - side], left[i + side]) - left[i]
-    if rise < SETTINGS.peaked:  # no shift is better than another, or they get better and better
+    if rise < SETTINGS.peaked:  # no distinct minimum
         return None
     before, at, after = left[i - 1 : i + 2]
     bend = before - 2 * at + after
@@ -169,7 +157,7 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
 
 
 def _gain(relations: list[_Relation], late: str, d: float) -> float:
-    """By how much a column that is late by d [s] explains relations better than none, in log likelihood."""
+    """Return the gain in log likelihood of a column that is late by d [s]."""
     total = 0.0
     for r in relations:
         if late in (r.first, r.second):
@@ -182,21 +170,21 @@ def _ordinary_of(name: str) -> tuple[float, float]:
 
 
 def _least(relation: _Relation, d: float, late: str) -> float:
-    """What a relation leaves at the best shift of ordinary size, where one column is late by d [s]."""
+    """Return the loss of a relation at the best ordinary shift, with one column late by d [s]."""
     (a, b), (c, e) = (_ordinary_of(name) for name in (relation.first, relation.second))
     if late == relation.first:
         a = b = d
     if late == relation.second:
         c = e = d
-    shifts = _shifts()
     low, high = c - b, e - a
-    inside = relation.left[(shifts > low) & (shifts < high)]
-    ends = np.interp([low, high], shifts, relation.left)
+    inside = relation.left[(_SHIFTS > low) & (_SHIFTS < high)]
+    ends = np.interp([low, high], _SHIFTS, relation.left)
     return float(min(ends.min(), inside.min() if len(inside) else np.inf))
 
 
 def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
-    """All relations of a recording whose link moves, at every shift."""
+    """Return all relations of a recording at every shift; none if its link is at rest."""
+    recording = shortened(recording, SETTINGS.longest)
     names = [n for n in (*POSITIONS, *DRIVING) if n in recording]
     positions = [n for n in POSITIONS if n in names]
     p = joint.record(recording.link)[0]
@@ -207,11 +195,11 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
     pushed = ["external_torque"] if recording.external == "measured" and "external_torque" in recording else []
     parts = _evenly(recording, names + pushed)
     pairs = [(m, n) for m in positions for n in names if n in DRIVING]
-    if recording.external == "unmeasured":  # pushes are in no shape
+    if recording.external == "unmeasured":  # pushes have no shape
         pairs = []
     if len(positions) == 2:
         pairs.append((positions[0], positions[1]))
-    k = len(_shifts()) // 2
+    k = _REACH
     stride = max(sum(len(values) for _, values in parts) // SETTINGS.most, 1)
     found = []
     for first, second in pairs:
@@ -227,7 +215,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
             use = np.abs(sliding) > SETTINGS.sliding if second != "joint_torque" else np.ones(len(i), bool)
             if (
                 second not in POSITIONS and use.mean() < SETTINGS.goes
-            ):  # friction holds, and the current builds up before it slips
+            ):  # stick-slip: the current rises before the motion
                 continue
             shapes = _shapes(time[i], motion[i], sliding, second)
             if pushed:
@@ -252,8 +240,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
 
 
 def _both_ways(theta: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Whether the link went through where it is in either direction, shape (n,): of one alone, later is another angle, and what
-    a torque is at each angle is free."""
+    """Return whether the link passed its angle in both directions, shape (n,)."""
     piece = ((theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)).astype(int)
     moving = np.abs(v) > SETTINGS.moving * float(np.max(np.abs(v), initial=0.0))
     forth, back = (np.bincount(piece[moving & (s * v > 0)], minlength=SETTINGS.hats) > 0 for s in (1, -1))
@@ -261,7 +248,7 @@ def _both_ways(theta: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _least_that_counts(joint: Joint, channel: str) -> float:
-    """What may be left of a channel by shapes that are not exact: of wind-up [rad], current [A], torque [N·m]."""
+    """Return the least residual that counts of a channel: wind-up [rad], current [A] or torque [N·m]."""
     value = {name: number.value for name, number in joint.numbers.items()}
     if channel in POSITIONS:
         return SETTINGS.wind_up * value["rated_torque"] / value["K1"]
@@ -272,7 +259,7 @@ def _least_that_counts(joint: Joint, channel: str) -> float:
 
 
 def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Mean square of what shapes, shape (n, s), and functions of the first do not explain of y, shape (n, d): shape (d,)."""
+    """Return the mean square of y, shape (n, d), that shapes (n, s) and functions of the first do not explain: shape (d,)."""
     A = np.column_stack([shapes, *_hats(shapes[:, 0])])
     A = A / np.maximum(np.sqrt(np.mean(A * A, axis=0)), 1e-12)
     values, vectors = np.linalg.eigh(A.T @ A)
@@ -283,9 +270,8 @@ def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _evenly(recording: Recording, names: list[str]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Times and channels with two derivatives, shape (n, channels, 3), of parts without gaps, `SETTINGS.step` apart."""
+    """Return times and channels with two derivatives, shape (n, channels, 3), of each segment, `SETTINGS.step` apart."""
     found = []
-    margin = round(SETTINGS.farthest / SETTINGS.step)
     for part in recording.segments:
         time = recording.time[part]
         if len(time) < 20 or time[-1] - time[0] < 3 * SETTINGS.farthest:
@@ -295,13 +281,13 @@ def _evenly(recording: Recording, names: list[str]) -> list[tuple[np.ndarray, np
         count = np.diff(begins, append=len(time))
         mean = [np.add.reduceat(x, begins) / count for x in (time, *(recording[n][part] for n in names))]
         s = smooth(mean[0], np.column_stack(mean[1:]), SETTINGS.step, SETTINGS.cutoff)
-        if len(s.time) > 2 * margin + 50:
+        if len(s.time) > 2 * _REACH + 50:
             found.append((s.time - recording.time[0], np.stack([s.value, s.rate, s.acceleration], axis=-1)))
     return found
 
 
 def _shapes(time: np.ndarray, motion: np.ndarray, sliding: np.ndarray, second: str) -> np.ndarray:
-    """What a torque, or the wind-up of a transmission, depends on beside the angle, shape (n, shapes); the angle first."""
+    """Return the shapes of a torque or of wind-up, the angle first, shape (n, shapes)."""
     theta, v, a = motion.T
     shapes = [theta, a]
     if second != "joint_torque":
@@ -313,6 +299,6 @@ def _shapes(time: np.ndarray, motion: np.ndarray, sliding: np.ndarray, second: s
 
 
 def _hats(theta: np.ndarray) -> list[np.ndarray]:
-    """Piecewise linear functions of the angle, that sum up to one."""
+    """Return piecewise linear functions of the angle with sum one."""
     at = (theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)
     return [np.maximum(1 - np.abs(at - i), 0.0) for i in range(SETTINGS.hats)]
