@@ -199,7 +199,7 @@ def _cause(report: Report, c: Finding) -> dict[str, Any]:
         "symbols": {piece: words for piece, words in pieces(text) if words},
         "confidence": c.confidence,
         "explains": c.explains,
-        "worth": c.worth,
+        "contribution": c.contribution,
         "of": "simulation error" if np.isnan(c.estimation) else "simulation and estimation error",
         "parameters": rows,
     }
