@@ -43,7 +43,7 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
             there, effect = 0.5 * there, 0.5 * effect  # one encoder does not separate motor from gear
         if isinstance(h, discrepancy.Spline):
             findings[i] = Finding(
-                "unknown", h.component, min(there, ANSWER.surest), {}, share, contributions[i],
+                "unknown", h.component, min(there, conclusion.surest), {}, share, contributions[i],
                 h.describe(u), discrepancy.depends_on(h.variable),
             )  # fmt: skip
             continue

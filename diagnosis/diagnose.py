@@ -96,7 +96,7 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     undetermined, alike = _limits(problem, found, final, offered, missing)
     surest, zeros = ANSWER.surest, _zeros(measurement, problem, final)
     # An encoder zero that moves looks like a spring, an unmeasured push like any cause.
-    if zeros or all(pushed(r) for r in measurement.recordings) or small.share == 0.0:
+    if zeros or all(pushed(r) for r in measurement.recordings) or small.share == 0.0 or _rotor_unknown(problem, judged):
         surest = ANSWER.unsure
     conclusion = Conclusion(problem, found, judged, final, small, missing, undetermined, alike, surest, zeros)
     return replace(answer_of(conclusion, measurement), mistakes=mistakes, regressions=plain)
@@ -169,6 +169,12 @@ def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
         return found
     _, models = explorer.neighbours(best, explorer.library(best))
     return replace(found, best=best, models=tuple(models))
+
+
+def _rotor_unknown(problem: Problem, f: Fit) -> bool:
+    """Whether a residual may be of the rotor's motion, which neither an encoder nor a torque sensor shows."""
+    shown = any(s.rotor_measured or s.has_torque for s in problem.segments)
+    return not shown and quiet_rms(problem, f) > ANSWER.quiet
 
 
 def _unseen(problem: Problem, f: Fit) -> float:
