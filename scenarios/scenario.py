@@ -437,12 +437,12 @@ def read_scenario(
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scenario's data with other values of dotted keys.
+    """Return the data that a scenario states, with other values of dotted keys; defaults may depend on these.
 
     Raises:
       InputError: an unknown key.
     """
-    data = stated(scenario)
+    data = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
     put_all(data, changes, f"scenario {scenario.name}")
     return data
 

@@ -24,6 +24,7 @@ from flexspline.models import causes
 from flexspline.models.files import json_text
 from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import read_recording, write_recording
+from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
 
 SHORT = {"duration": 2.0, "transient": 0.5}
@@ -63,6 +64,16 @@ def test_simulate(run):
     assert list(run.estimates) == ["RAREKF", "lowpass"] and len(run.time) == 2000
     again = fs.simulate(load_scenario("link_sweep")[0], seed=3, **SHORT, filters=["lowpass"], controller__kp=7.0)
     assert again.estimate("lowpass").tobytes() == run.estimate("lowpass").tobytes()
+
+
+def test_realistic_sensors_are_those_of_the_command_line():
+    """With the drive's lag and the jitter of the time stamps; also from a `Scenario`."""
+    few = {**SHORT, "filters": ["current"], "sensors": "realistic"}
+    by_set = run_scenario(*load_scenario("link_sweep", [f"{key}={value}" for key, value in few.items()]))
+    for source in ("link_sweep", load_scenario("link_sweep")[0]):
+        run = fs.simulate(source, **few)
+        assert run.scenario.controller.delay == 2e-3 and run.scenario == by_set.scenario
+        assert run.estimate("current").tobytes() == by_set.estimate("current").tobytes()
 
 
 def test_a_joints_file_is_looked_for_where_one_stands(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ import yaml
 import flexspline as fs
 from flexspline.diagnosis.trials.motions import motions, record_motion
 from flexspline.models.controller import Controller
+from flexspline.scenarios.arms.arm_scenario import load_arm
 from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
@@ -79,8 +80,10 @@ def test_studies_arms_and_trials_use_them(path, tmp_path):
     dataset = open_study(study, tmp_path / "sweep")
     assert dataset.design.experiment(dataset.design.cells[0]).scenario.controller == Controller(**OWN)
     arm = fs.simulate_arm("two_joints", duration=1.5, arm__1__joint=path)
-    gains = {name: run.scenario.controller for name, run in arm.items()}
-    assert gains == {"shoulder": Controller(), "elbow": Controller(**OWN)}
+    again = fs.simulate_arm(load_arm("two_joints")[0], duration=1.5, arm__1__joint=str(path))
+    for runs in (arm, again):
+        gains = {name: run.scenario.controller for name, run in runs.items()}
+        assert gains == {"shoulder": Controller(), "elbow": Controller(**OWN)}
     joint = fs.load_joint(path)
     scenario = motions(np.random.default_rng(1))[0]
     scenario = scenario.model_copy(update={"duration": 1.0})
