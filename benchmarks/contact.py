@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flexspline.commands.contact import DEFAULT
 from flexspline.models.files import write_rows
 from flexspline.scenarios.evaluation import contact
 from flexspline.scenarios.filters import estimators
@@ -55,7 +54,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     for sensors, tolerance in CASES:
         changes = [] if sensors == "ideal" else ["sensors=realistic"]
         scenario, folder = load_scenario("collision", changes)
-        found = contact.assess(scenario, folder, estimators(DEFAULT), asked.hours, tolerance, asked.threads)
+        found = contact.assess(scenario, folder, estimators(contact.DEFAULT), asked.hours, tolerance, asked.threads)
         points = contact.ranked(found, RATE, tolerance)
         for point in points:
             cells.setdefault(point["estimator"], {})[sensors, tolerance] = cell(point)

@@ -126,7 +126,7 @@ def diagnosed(one: Draw) -> Found:
     found = diagnose(one.measurement, one.nominal)
     assert found.problem is not None and found.final is not None
     n = found.problem.calibration.size
-    causes = ", ".join(f"{c.name} ({100 * c.confidence:.0f} % sure, {c.worth:.2g} N·m)" for c in found.causes)
+    causes = ", ".join(f"{c.name} ({100 * c.confidence:.0f} % sure, {c.contribution:.2g} N·m)" for c in found.causes)
     said = f"{found.verdict}: {causes}" if causes else found.verdict
     return Found(found.final.theta[:n], found.final.covariance[:n, :n], time.process_time() - begin, said)
 

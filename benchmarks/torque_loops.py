@@ -1,7 +1,7 @@
 """Torque and impedance control with each estimate in the loop: stability margins, bandwidth, error.
 
-The controller is `sim.drive.Controller` with a torque loop, the drive of the impedance. All of it is measured on the simulated
-joint, with its friction, its sensors' noise and its control period:
+The controller is `models.controller.Controller` with a torque loop, the drive of the impedance. All of it is measured on the
+simulated joint, with its friction, its sensors' noise and its control period:
 
 * **Gain margin**: factor on the torque loop's gain at which the joint begins to oscillate; **delay margin**: dead time that can
   be added to the drive's. Both with the output bolted to a bench, the stiffest environment, after a step of the wanted torque.
@@ -21,13 +21,14 @@ import numpy as np
 
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator, KnownJoint
+from flexspline.models.controller import Controller
 from flexspline.models.errors import InputError
 from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.kernels import kernel
 from flexspline.scenarios.evaluation.draws import drawn_record, known_within, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import Scenario, Waypoint
-from flexspline.sim.drive import Controller, control
+from flexspline.sim.drive import control
 from flexspline.sim.loop import CONTROL_PERIOD, Simulation
 
 GAINS = (0.25, 64.0)

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..models.errors import InputWarning
 from ._measurement import load_measurement
 from ._options import MeasurementPath, OtherJoint, with_plugins
 
 if TYPE_CHECKING:
-    from ..diagnosis.data.coverage import Balance, RecordingSummary
-    from ..estimator.conditioning import Coarse
+    from ..diagnosis.check import Check
+    from ..diagnosis.data.coverage import RecordingSummary
     from ..models.recording import Measurement, Recording
 
 EXAMPLES = (
@@ -32,10 +29,8 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
     """Check a measurement: what it contains, mistakes in it, what is missing, and which causes it cannot show."""
+    from ..diagnosis.check import check
     from ..diagnosis.data import coverage
-    from ..diagnosis.data.mistakes import find_mistakes, mended_if_possible
-    from ..diagnosis.regression import regressions
-    from ..estimator.conditioning import coarser, condition
     from ..models import causes
     from ..models.command_lines import mending
     from ..models.files import json_text
@@ -45,80 +40,48 @@ def command(
 
     give_back_large_arrays()
     given, described = load_measurement(measurement, joint)
-    mistakes = find_mistakes(given, described)
-    possible = mended_if_possible(given, described, mistakes)
-    data, correction = (given, "") if possible is None else (possible, mending(given, described))
-    conditioned = [condition(recording, described) for recording in data.recordings]
-    pairs = zip(data.recordings, conditioned, strict=True)
-    summaries = [coverage.summarise(recording, described, one) for recording, one in pairs]
-    missing, found = coverage.missing_columns(data), coverage.balances(data)
-    reasons = coverage.undetermined(data, described, summaries)
-    shows = [name for name in causes.of(described) if name not in reasons]
-    coarse, plain = coarser(data.recordings, described), regressions(data, described, conditioned)
-    for recording in data.recordings:
-        ratio = coverage.torque_over_current(recording, described)
-        if ratio is not None:
-            text = f"motor_torque is {ratio:.3g} times motor_current times the drive's torque constant: one of them is wrong"
-            warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
+    found = check(given, described)
     if as_json:
-        report = {
-            "measurement": given.name,
-            "joint": described.name,
-            "mistakes": [m.to_json() for m in mistakes],
-            "fixed": list(given.fixed),
-            "recordings": [asdict(s) for s in summaries],
-            "missing": missing,
-            "coarser": [asdict(one) for one in coarse],
-            "balances": [asdict(b) for b in found],
-            "regressions": [r.to_json() for r in plain],
-            "can_show": shows,
-            "undetermined": reasons,
-        }
-        print(json_text(report))
+        print(json_text(found.to_json()))
         return
+    data = given if found.corrected is None else found.corrected
     terminal = console()
-    print_mistakes(terminal, mistakes, correction)
+    print_mistakes(terminal, found.mistakes, mending(given, described) if found.corrected is not None else "")
     bolted = ", ".join(r.name for r in given.recordings if r.link.locked)
     if bolted:
         terminal.print(f"{bolted}: bolted to the bench, not checked for mistakes")
-    corrected = ", as corrected" if any(m.sure for m in mistakes) else ""
-    title = f"{given.name}: {len(summaries)} recording(s) of {described.name}{corrected}"
-    print_table(terminal, title, ("", *(s.name for s in summaries)), _rows(data.recordings, summaries))
-    for line in _lines(data, summaries, coarse, missing, found):
+    corrected = ", as corrected" if any(m.sure for m in found.mistakes) else ""
+    title = f"{given.name}: {len(found.recordings)} recording(s) of {described.name}{corrected}"
+    print_table(terminal, title, ("", *(s.name for s in found.recordings)), _rows(data.recordings, found.recordings))
+    for line in _lines(data, found):
         terminal.print(line)
-    for regression in plain:
+    for regression in found.regressions:
         heads = ("shape", f"coefficient [{regression.unit}/…]", "meaning", "described")
         print_table(terminal, f"Plain regression of {regression.title}", heads, regression.rows, 4)
         if regression.left_out:
             terminal.print(f"confounded with others in this motion: {', '.join(regression.left_out)}")
     if not any("link_position" in r and "motor_position" in r for r in data.recordings):
         terminal.print("one encoder: torsion is not measured, the other side's motion follows from the description")
-    if shows:
+    if found.can_show:
         masked = "unless masked by the parameter tolerances (flexspline joint show)"
-        terminal.print(f"detectable with these channels and this motion, {masked}: {', '.join(shows)}")
+        terminal.print(f"detectable with these channels and this motion, {masked}: {', '.join(found.can_show)}")
     elif nothing := coverage.too_little(data, described):
         terminal.print(f"no cause is detectable: {nothing}")
-    if reasons:
-        rows = [(name, causes.get(name).component, reason) for name, reason in reasons.items()]
+    if found.undetermined:
+        rows = [(name, causes.get(name).component, reason) for name, reason in found.undetermined.items()]
         print_table(terminal, "Not detectable with this measurement", ("cause", "component", "because"), rows, 3)
 
 
-def _lines(
-    data: Measurement,
-    summaries: Sequence[RecordingSummary],
-    coarse: Sequence[Coarse],
-    missing: Sequence[str],
-    balances: Sequence[Balance],
-) -> Iterator[str]:
+def _lines(data: Measurement, found: Check) -> Iterator[str]:
     """Yield remarks on recordings and channels."""
-    for recording, s in zip(data.recordings, summaries, strict=True):
+    for recording, s in zip(data.recordings, found.recordings, strict=True):
         yield from (f"{s.name}: {line}" for line in _remarks(recording, s))
-    yield from (f"{one.text}; a diagnosis accounts for it" for one in coarse)
-    if missing:
-        yield f"missing: {', '.join(missing)}"
+    yield from (f"{one.text}; a diagnosis accounts for it" for one in found.coarse)
+    if found.missing:
+        yield f"missing: {', '.join(found.missing)}"
     if any("motor_current" in r and "motor_torque" in r for r in data.recordings):
         yield "`motor_current` takes precedence over `motor_torque`"
-    for balance in balances:
+    for balance in found.balances:
         some = "" if len(balance.recordings) == len(data.recordings) else f" ({', '.join(balance.recordings)})"
         yield f"compared: {balance.description}{some}"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -16,8 +15,6 @@ EXAMPLES = (
     "flexspline contact --hours 0.2 --filter RAREKF --filter augmented",
     "flexspline contact --set sensors=realistic --tolerance 0.2 --out contact",
 )
-DEFAULT = ("augmented", "momentum", "momentum_torsion", "current", "RAREKF", "AREKF", "EKF", "model")
-"""Estimators by default: fast ones, a few of each kind."""
 
 
 @with_plugins
@@ -36,7 +33,12 @@ def command(
     ] = None,
     filter_: Annotated[
         list[str] | None,
-        typer.Option("--filter", help=f"An estimator by its name; repeatable. By default {', '.join(DEFAULT)}."),
+        typer.Option(
+            "--filter",
+            "--filter",
+            help="An estimator by its name; repeatable. By default augmented, momentum, momentum_torsion, current, RAREKF, "
+            "AREKF, EKF, model.",
+        ),
     ] = None,
     rate: Annotated[
         float, typer.Option(min=0.01, max=3000, help="False alarms per hour at which detectors are compared.")
@@ -54,7 +56,6 @@ def command(
     with drawn pushes. Every run has another joint within tolerance, another motion and other noise.
     """
     from ..models import plugins
-    from ..models.errors import InputError
     from ..models.files import json_text, write_rows
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import contact
@@ -64,21 +65,18 @@ def command(
     from ._console import console, progress
 
     shares = tolerance or [0.0, 1.0]
-    if len(set(shares)) < len(shares):
-        raise InputError(f"--tolerance: expected each share once, got {shares}")
-    chosen = estimators(filter_ or DEFAULT)
+    chosen = estimators(filter_ or contact.DEFAULT)
     loaded, folder = load_scenario(scenario, changes)
-    contact.check(loaded, chosen, hours, rate)
+    contact.check(loaded, chosen, hours, rate, shares)
     if out is not None:
         check_output(out, "contact", writes=("contact.csv", "contact.json", "contact.md", "contact.png"))
-    terminal, curves, detectors = console(), [], []
+    terminal = console()
     with progress() as bar:
-        for share in shares:
-            task = bar.add_task(f"tolerance ×{share:g}", total=contact.runs_of(loaded, hours))
-            advance, at_once = partial(bar.advance, task), jobs or os.cpu_count() or 1
-            found = contact.assess(loaded, folder, chosen, hours, share, at_once, advance)
-            detectors += contact.ranked(found, rate, share)
-            curves += [row for one in found for row in contact.curve(one, share)]
+        runs = contact.runs_of(loaded, hours)
+        tasks = {share: bar.add_task(f"tolerance ×{share:g}", total=runs) for share in shares}
+        found = contact.study(
+            loaded, folder, chosen, hours, shares, rate, jobs or os.cpu_count() or 1, lambda share: bar.advance(tasks[share])
+        )  # fmt: skip
     given = {
         "--tolerance": shares,
         "--filter": chosen,
@@ -86,25 +84,16 @@ def command(
         "--set": changes or [],
         "--plugin": plugins.files(),
     }
-    answer = {
-        "format": 1,
-        "scenario": loaded.name,
-        "joint": loaded.load_joint(folder)[0].name,
-        "rate": rate,
-        "hours": hours,
-        "hours_counted": found[0].hours,
-        "runs": len(found[0].quiet),
-        "arguments": [scenario, *(word for o, values in given.items() for v in values for word in (o, _word(v)))],
-        "detectors": detectors,
-    }
+    words = [scenario, *(word for o, values in given.items() for v in values for word in (o, _word(v)))]
+    answer = {"format": 1, "arguments": words} | found.to_json()
     if out is not None:
         from ..views.limit_figures import save_figure
 
         with output_folder(out, "contact") as new:
             (new / "contact.json").write_text(json_text(answer), encoding="utf-8")
-            write_rows(new / "contact.csv", curves)
+            write_rows(new / "contact.csv", list(found.curves))
             (new / "contact.md").write_text(contact_views.contact_markdown(answer), encoding="utf-8")
-            save_figure(contact_views.contact_figure(curves, loaded.name), new / "contact.png")
+            save_figure(contact_views.contact_figure(found.curves, loaded.name), new / "contact.png")
     if as_json:
         print(json_text(answer))
         return

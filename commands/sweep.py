@@ -45,23 +45,17 @@ def command(
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one joint per thread
-    from ..models.files import json_text, yaml_text
-    from ..models.output import at_end, check_output, output_folder
-    from ..scenarios.studies.dataset import Dataset
-    from ..scenarios.studies.design import Design
-    from ..scenarios.studies.statistics import aggregate, summary_rows, write_csv
-    from ..scenarios.studies.study import load_study, shipped_studies
-    from ..scenarios.studies.sweep import sweep, versions
-    from ..scenarios.studies.worst import worst_runs
-    from ..views.sweep_tables import metric_column, sweep_markdown, sweep_table
+    from ..models.files import json_text
+    from ..models.output import at_end, check_output
+    from ..scenarios.studies.statistics import summary_rows
+    from ..scenarios.studies.sweep import sweep
+    from ..scenarios.studies.swept import open_study, summarise
+    from ..views.sweep_files import write_summary
+    from ..views.sweep_tables import metric_column, sweep_table
     from ._console import console, progress
 
-    asked, folder = load_study(study)
-    if seeds is not None:
-        asked = asked.with_seeds(seeds)
-    design = Design.of(asked, folder)
-    source = study if study in shipped_studies() else _relative(Path(study), out)
-    dataset = Dataset.open(out, design, versions(), source)
+    dataset = open_study(study, out, seeds)
+    design, asked = dataset.design, dataset.design.study
     check_output(out, "sweep", writes=("summary.csv", "summary.md"))
     with progress(counting=True, remaining=True) as bar:
         task = bar.add_task(f"{asked.name}: runs", total=design.runs, completed=dataset.done())
@@ -75,37 +69,21 @@ def command(
                 lambda runs: bar.update(task, advance=runs),
             )  # fmt: skip
         bar.update(task, description=f"{asked.name}: summary", total=None)
-        found, worst = list(aggregate(dataset)), worst_runs(dataset, asked.metrics[0])
-        with output_folder(out, "sweep") as new:
-            write_csv(found, design, new / "summary.csv")
-            (new / "summary.md").write_text(sweep_markdown(found, asked), encoding="utf-8")
-            for run in worst:
-                if run.again is not None:
-                    (new / "worst").mkdir(exist_ok=True)
-                    text = yaml_text(run.again.model_dump(mode="json", exclude_none=True))
-                    (new / "worst" / f"{run.scenario}.yaml").write_text(text, encoding="utf-8")
-            if figures:
-                from ..views.sweep_figures import save_sweep_figures
-
-                save_sweep_figures(found, asked, new / "figures")
+        found = summarise(dataset)
+        write_summary(found, figures)
     if as_json:
-        print(json_text(list(summary_rows(found, design))))
+        print(json_text(list(summary_rows(list(found.aggregates), design))))
         return
     terminal = console()
-    terminal.print(sweep_table(found, asked, asked.metrics[0]))
-    failed = sum(s.failed for s in found)
-    if failed:
-        text = f"{failed} estimates have no metrics; `failure` in the rows has the reason, summary.md the place"
+    terminal.print(sweep_table(list(found.aggregates), asked, asked.metrics[0]))
+    if found.failed:
+        text = f"{found.failed} estimates have no metrics; `failure` in the rows has the reason, summary.md the place"
         terminal.print(text, style="red")
     column = metric_column(asked.metrics[0])
-    for run in worst:
+    for run in found.worst:
         text = f"{run.scenario}: largest {column.heading} {column.scale * run.value:.3g} {column.unit} by {run.filter}"
         terminal.print(f"{text}, seed {run.seed}{_again(run, out)}", soft_wrap=True)
     terminal.print(f"{out / 'summary.md'}, {out / 'summary.csv'}; rows in {out / 'rows'}")
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
 def _again(run: WorstRun, out: Path) -> str:

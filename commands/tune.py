@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import re
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..models.errors import InputError
 from ._listing import AsJson
 from ._options import Changes, Estimators, Jobs, SomeScenarios, Vary, with_plugins
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
 
 _MOST_SEEDS = 100_000
 
@@ -45,9 +49,6 @@ def command(
     Writes `tuned.yaml`, whose `filters` can be copied into a scenario, per scenario or, with --together, once.
     """
     training, testing = _seeds(train, "--train"), _seeds(test, "--test")
-    both = sorted(set(training) & set(testing))
-    if both:
-        raise InputError(f"--test: expected other seeds than those of --train, got {both[0]} in both")
     from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import tuning
@@ -57,6 +58,7 @@ def command(
     from ._console import console, progress
     from ._runs import PAPER, load_all
 
+    tuning.check_seeds(training, testing)
     chosen, threads = estimators(filter_ or ()), jobs or os.cpu_count() or 1
     loaded = load_all(scenarios or PAPER, changes)
     groups = [loaded] if together else [[one] for one in loaded]
@@ -65,34 +67,42 @@ def command(
     for folder in folders:
         check_output(folder, "tune", writes=("tuned.yaml", "tuned.md", "pareto.png"), within=out)
     for group, folder in zip(groups, folders, strict=True):
-        names = [scenario.name for scenario, _ in group]
-        fronts, found = [], []
+        names = ", ".join(scenario.name for scenario, _ in group)
         with progress() as bar:
-            task = bar.add_task(f"{', '.join(names)}: simulating", total=len(chosen))
-            train_runs, test_runs = (tuning.simulated(group, some, vary) for some in (training, testing))
-            pushed = next((runs for runs in test_runs if pareto and runs[0].reference.events), None)
-            for name, estimator in chosen.items():
-                bar.update(task, description=f"{', '.join(names)}: {name}")
-                found.append(tuning.tune(estimator, train_runs, test_runs, evaluations, threads))
-                if pushed:
-                    fronts.append(tuning.pareto(estimator, pushed, found[-1].tuned, threads=threads))
-                bar.advance(task)
-        title = f"{', '.join(names)}: tuned on seeds {train}, tested on {test}"
-        answer[", ".join(names)] = tuning.tuned_data(found, names, training, testing)
+            task = bar.add_task(f"{names}: simulating", total=len(chosen))
+            found = tuning.tune_all(
+                chosen,
+                group,
+                training,
+                testing,
+                evaluations,
+                vary,
+                pareto,
+                threads,
+                partial(_advance, bar, task, names),
+            )
+            bar.update(task, completed=len(chosen))
+        title = f"{names}: tuned on seeds {train}, tested on {test}"
+        answer[names] = found.to_json()
+        results = list(found.tuned.values())
         if not as_json:
-            terminal.print(tuned_table(found, title))
+            terminal.print(tuned_table(results, title))
         with output_folder(folder, "tune", within=out) as new:
-            tuning.write_tuned(found, names, training, testing, new / "tuned.yaml")
-            text = f"# {title}\n\n{markdown_table(TUNED_HEADS, tuned_rows(found))}\n"
+            found.write(new / "tuned.yaml")
+            text = f"# {title}\n\n{markdown_table(TUNED_HEADS, tuned_rows(results))}\n"
             (new / "tuned.md").write_text(text, encoding="utf-8")
-            if pushed:
+            if found.fronts:
                 from ..views.limit_figures import pareto_figure, save_figure
 
-                save_figure(pareto_figure(fronts, pushed[0].name, len(testing)), new / "pareto.png")
+                save_figure(pareto_figure(found.fronts, found.pushed, len(testing)), new / "pareto.png")
         if not as_json:
-            terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}")
+            terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if found.fronts else ''}")
     if as_json:
         print(json_text(answer))
+
+
+def _advance(bar: Progress, task: TaskID, names: str, done: int, name: str) -> None:
+    bar.update(task, description=f"{names}: {name}", completed=done)
 
 
 def _seeds(text: str, option: str) -> list[int]:

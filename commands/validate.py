@@ -85,7 +85,7 @@ def _show(terminal: Console, found: Validation, correction: str) -> None:
         regions.append((by + (" *" if r.beyond > 0.5 else ""), r.unit, low, high, *errors))
     columns = [f"{name.replace('_', ' ')} [{e.unit}]" for name, e in found.residual.items()]
     print_table(terminal, "by region", ("", "unit", "from", "to", *columns), regions, 2)
-    if found.untared:
+    if found.mostly_offset:
         terminal.print(
             "link encoder: the description does not know its zero, which may explain most of the error of link position, "
             "joint torque and current. `flexspline diagnose` determines it in the joint that it writes."

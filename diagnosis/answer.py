@@ -39,7 +39,7 @@ class Finding:
       confidence: posterior probability of this cause.
       parameters: of the extended model.
       explains: share of the held-out residual that it removes, in mean squares of output torque.
-      worth: contribution: RMS that it alone removes from the simulation error [N·m at the output]; of several causes,
+      contribution: RMS that it alone removes from the simulation error [N·m at the output]; of several causes,
         together with `estimation`.
       description, depends_on: of an unknown effect.
       estimation: RMS that it removes from the error of torque estimates [N·m]; NaN for one cause, or if no torque was measured.
@@ -50,7 +50,7 @@ class Finding:
     confidence: float
     parameters: dict[str, ParameterEstimate]
     explains: float
-    worth: float
+    contribution: float
     description: str = ""
     depends_on: tuple[str, ...] = ()
     estimation: float = float("nan")
@@ -70,7 +70,7 @@ class Finding:
             "confidence": round(self.confidence, 3),
             "parameters": {k: {"value": p.value, "std": p.std, "unit": p.unit} for k, p in self.parameters.items()},
             "explains": round(self.explains, 4),
-            "worth": {"value": self.worth, "unit": "N·m"},
+            "worth": {"value": self.contribution, "unit": "N·m"},
         }
         if math.isfinite(self.estimation):
             entry["worth"]["estimation"] = self.estimation
@@ -180,7 +180,7 @@ class Diagnosis:
     def _repr_html_(self) -> str:
         causes_ = [
             (
-                c.name.replace("_", " "), c.component, f"{100 * c.confidence:.0f} %", f"{100 * c.explains:.0f} %", c.worth,
+                c.name.replace("_", " "), c.component, f"{100 * c.confidence:.0f} %", f"{100 * c.explains:.0f} %", c.contribution,
                 c.description
                 or ", ".join(f"{k} = {p.value:.4g} ± {p.std:.2g} {p.unit}".rstrip() for k, p in c.parameters.items()),
             )
@@ -191,7 +191,7 @@ class Diagnosis:
             (
                 paragraph(self.verdict, self.reason),
                 *(paragraph(f"{m.name}:", f"{m.column} {m.description}") for m in self.mistakes),
-                html_table(("cause", "component", "sure", "explains", "worth [N·m]", "parameters"), causes_),
+                html_table(("cause", "component", "sure", "explains", "contribution [N·m]", "parameters"), causes_),
                 html_table(("residual", "before", "after", "noise", "unit"), residual),
                 paragraph("Confounded:", "; ".join(" and ".join(p) for p in self.confusable))
                 if self.confusable

@@ -71,7 +71,7 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
         for i, g in gained.items():
             both = float(np.hypot(contributions[i], g**0.5))
             share = float(np.clip(explained * both**2 / whole, 0.0, 1.0))
-            findings[i] = replace(findings[i], explains=share, worth=both, estimation=g**0.5)
+            findings[i] = replace(findings[i], explains=share, contribution=both, estimation=g**0.5)
     sizes = [1.0 if h.cause.name == "unknown" else size_of(problem, final, i) for i, h in enumerate(final.model)]
     return _in_order(findings, sizes), _in_order(minor, sizes)
 
@@ -84,8 +84,8 @@ def _in_order(findings: dict[int, Finding], sizes: Sequence[float]) -> list[Find
     """
     left, found = dict(findings), list[Finding]()
     while left:
-        most = max(f.worth for f in left.values())
-        first = max((i for i, f in left.items() if f.worth >= ANSWER.about * most), key=lambda i: sizes[i])
+        most = max(f.contribution for f in left.values())
+        first = max((i for i, f in left.items() if f.contribution >= ANSWER.about * most), key=lambda i: sizes[i])
         found.append(left.pop(first))
     return found
 

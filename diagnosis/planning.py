@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..models import causes, laws
+from ..models.controller import Controller
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.joint_parts import LOCKED, Mounting
@@ -29,7 +30,6 @@ from ..models.parameters import GRAVITY
 from ..models.recording import Measurement, Recording
 from ..models.signals import POSITIONS
 from ..scenarios.scenario import Scenario, Waypoint
-from ..sim.drive import Controller
 from ..sim.plant import TIMESTEP
 from .data import coverage
 from .data.segments import BALANCES, segments

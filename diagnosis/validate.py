@@ -152,8 +152,8 @@ class Validation:
       mistakes: in the data.
       fixed: what `flexspline import --fix` changed before.
       recordings: measured and simulated channels.
-      untared: whether most of the link position's error is a mean that an uncertain encoder offset explains. It also affects
-        the joint torque's mean, through the torsion.
+      mostly_offset: whether most of the link position's error is a mean that an uncertain encoder offset explains. It also
+        affects the joint torque's mean, through the torsion.
     """
 
     joint: str
@@ -163,7 +163,7 @@ class Validation:
     mistakes: tuple[Mistake, ...] = ()
     fixed: tuple[str, ...] = ()
     recordings: tuple[Channels, ...] = field(default=(), repr=False)
-    untared: bool = False
+    mostly_offset: bool = False
 
     def __repr__(self) -> str:
         errors = ", ".join(f"{name} {e.rms:.3g} {e.unit}" for name, e in self.residual.items())
@@ -188,7 +188,7 @@ class Validation:
             "beyond": self.beyond,
             "mistakes": [m.to_json() for m in self.mistakes],
             "fixed": list(self.fixed),
-            "untared": self.untared,
+            "untared": self.mostly_offset,
             "recordings": [r.name for r in self.recordings],
         }
 
@@ -220,7 +220,7 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
         mistakes=mistakes,
         fixed=measurement.fixed,
         recordings=recordings,
-        untared=_untared(residual.get("link_position"), joint),
+        mostly_offset=_mostly_offset(residual.get("link_position"), joint),
     )
 
 
@@ -299,7 +299,7 @@ def _zero_std(joint: Joint) -> float:
     return 0.0 if zero is None else zero.deviation if zero.std is None else zero.std
 
 
-def _untared(error: ChannelError | None, joint: Joint) -> bool:
+def _mostly_offset(error: ChannelError | None, joint: Joint) -> bool:
     """Return whether most of the link position's error is a mean within the uncertainty of the encoder's zero."""
     if error is None or not _loose(joint):
         return False

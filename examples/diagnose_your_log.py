@@ -46,6 +46,6 @@ for mistake in found.mistakes:
     print(f"mistake in the data: {mistake.column} {mistake.description}")
 for cause in found.causes:
     values = ", ".join(f"{name} {p.value:.3g} ± {p.std:.1g} {p.unit}" for name, p in cause.parameters.items())
-    print(f"{cause.name}: {100 * cause.confidence:.0f} % sure, {values}, contributes {cause.worth:.2f} N·m")
+    print(f"{cause.name}: {100 * cause.confidence:.0f} % sure, {values}, contributes {cause.contribution:.2f} N·m")
 found.extended.write(Path("extended.yaml"))  # every command accepts it in place of the description
 print(f"{len(found.undetermined)} causes could not have shown:", ", ".join(found.undetermined))

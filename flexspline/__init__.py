@@ -8,6 +8,7 @@
     fs.diagnose("measurement/").causes                                  # why it differs from the description
     fs.plan("measurement/").sentences()                                 # what to measure next
     fs.validate("measurement/", joint="extended.yaml")                  # how well a description predicts it
+    fs.check("measurement/"), fs.tune("link_sweep", ["RAREKF"]), fs.contact(), fs.sweep("noise_and_load", "sweep")
 
 SI units; torques [N·m] on the output side. Unusable input raises `InputError`, a `ValueError` with one line. Everything is
 imported when it is first used.
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from .diagnosis.answer import Diagnosis
+    from .diagnosis.check import Check
     from .diagnosis.planning import Plan
     from .diagnosis.validate import Validation
     from .estimator.errors import FilterDiverged
@@ -39,8 +41,11 @@ if TYPE_CHECKING:
     from .models.joint import Joint, load_joint
     from .models.recording import Measurement, Recording
     from .scenarios.arms.arm_scenario import ArmScenario
+    from .scenarios.evaluation.contact import ContactStudy
+    from .scenarios.evaluation.tuning import Tuning
     from .scenarios.run import Run
     from .scenarios.scenario import Scenario
+    from .scenarios.studies.swept import Swept
     from .sim.attach import Attached
 
 Measured: TypeAlias = "str | Path | Recording | Measurement | Run | Sequence[Recording | Run]"
@@ -51,6 +56,8 @@ __version__ = "0.1.0"
 _ELSEWHERE = {
     "ArmScenario": "scenarios.arms.arm_scenario",
     "Attached": "sim.attach",
+    "Check": "diagnosis.check",
+    "ContactStudy": "scenarios.evaluation.contact",
     "Diagnosis": "diagnosis.diagnose",
     "Estimator": "estimator.estimator",
     "FilterDiverged": "estimator.errors",
@@ -62,14 +69,16 @@ _ELSEWHERE = {
     "Recording": "models.recording",
     "Run": "scenarios.run",
     "Scenario": "scenarios.scenario",
+    "Swept": "scenarios.studies.swept",
+    "Tuning": "scenarios.evaluation.tuning",
     "Validation": "diagnosis.validate",
     "load_joint": "models.joint",
 }
 __all__ = [
-    "ArmScenario", "Attached", "Diagnosis", "Estimator", "FilterDiverged", "InputError", "Joint", "Measurement", "Plan",
-    "Posterior", "Recording", "Run", "Scenario", "Validation", "__version__", "align", "attach", "causes", "compare",
-    "diagnose", "estimate", "estimators", "import_log", "joints", "load_joint", "load_plugin", "load_recording", "plan",
-    "simulate", "simulate_arm", "validate",
+    "ArmScenario", "Attached", "Check", "ContactStudy", "Diagnosis", "Estimator", "FilterDiverged", "InputError", "Joint",
+    "Measurement", "Plan", "Posterior", "Recording", "Run", "Scenario", "Swept", "Tuning", "Validation", "__version__", "align",
+    "attach", "causes", "check", "compare", "contact", "diagnose", "estimate", "estimators", "import_log", "joints", "load_joint",
+    "load_plugin", "load_recording", "plan", "report", "simulate", "simulate_arm", "sweep", "tune", "validate",
 ]  # fmt: skip
 _EXPERIMENTS = ("no_load", "link_sweep", "external_push")
 
@@ -292,7 +301,7 @@ def estimate(
     from .estimator.offline import estimate_recording
     from .models.errors import InputError
 
-    named = (estimators,) if isinstance(estimators, str) else tuple(estimators)
+    named = tuple(_names(estimators))
     for name in named:
         registry.get(name)
     measurement, described = _measured(load_recording(data) if isinstance(data, (str, Path)) else data, joint)
@@ -334,22 +343,138 @@ def compare(
 
     import pandas as pd
 
-    from .models.errors import InputError
     from .scenarios.run import run_scenario
 
-    several = [scenarios] if isinstance(scenarios, str) or not isinstance(scenarios, Sequence) else list(scenarios)
-    named = [estimators] if isinstance(estimators, str) else list(estimators)
-    asked = [_scenario(one, seed, changes | ({"filters": named} if named else {})) for one in several]
-    names = [scenario.name for scenario, _ in asked]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"scenario {name}: expected each scenario once, got it twice")
+    named = _names(estimators)
+    asked = _several(scenarios, seed, changes | ({"filters": named} if named else {}))
     with ThreadPoolExecutor(_cores()) as pool:
         runs = list(pool.map(lambda one: run_scenario(*one), asked))
     rows = {(run.name, name): values for run in runs for name, values in run.metrics["filters"].items()}
     table = pd.DataFrame.from_dict(rows, orient="index", dtype=float)
     table.index = pd.MultiIndex.from_tuples(rows, names=["scenario", "filter"])
     return table
+
+
+def tune(
+    scenarios: str | Path | Scenario | Sequence[str | Path | Scenario],
+    estimators: Iterable[str] = (),
+    train: Iterable[int] = range(1, 6),
+    test: Iterable[int] = range(101, 111),
+    evaluations: int = 300,
+    fronts: bool = False,
+    **changes: Any,
+) -> Tuning:
+    """Tune estimators for the RMS error on training seeds, and evaluate them on test seeds.
+
+    Args:
+      scenarios: one or several; one tuning serves all of them, by the geometric mean of their errors.
+      estimators: names; by default all of them, which takes hours.
+      train, test: seeds; start, pace and pushes are drawn with each.
+      evaluations: settings to try per estimator; a tenth for estimators that simulate the joint.
+      fronts: whether to sweep noise against delay, if a scenario has pushes.
+      changes: as of `simulate`.
+
+    Returns:
+      `tuned`, by name: parameters, RMS errors on the test seeds, shape (scenarios, seeds) [N·m], before and after. `filters` for
+      a scenario. `fronts` of noise [N·m] against delay [ms]. `write("tuned.yaml")`.
+
+    Raises:
+      InputError: an unknown scenario or estimator; a seed in both `train` and `test`; a scenario with an estimate fed back.
+    """
+    from .scenarios.evaluation.tuning import tune_all
+    from .scenarios.filters import estimators as registered
+
+    chosen = registered(_names(estimators))
+    asked, seeds = _several(scenarios, None, changes), (list(train), list(test))
+    return tune_all(chosen, asked, *seeds, evaluations=evaluations, fronts=fronts, threads=_cores())
+
+
+def contact(
+    scenario: str | Path | Scenario = "collision",
+    estimators: Iterable[str] = (),
+    hours: float = 1.0,
+    tolerances: Sequence[float] = (0.0, 1.0),
+    rate: float = 10.0,
+    **changes: Any,
+) -> ContactStudy:
+    """Detect collisions by each estimator's external torque: false alarms, delay, smallest push found.
+
+    Args:
+      scenario: with the motion; as of `simulate`.
+      estimators: names of causal ones; by default a few fast ones. The torque sensor is added.
+      hours: time without contact [h]; half of it gives the thresholds, the other half the false alarms.
+      tolerances: shares of the joint's tolerances within which joints are drawn; 0: known exactly.
+      rate: false alarms per hour at which detectors are compared.
+      changes: as of `simulate`.
+
+    Returns:
+      `detectors`, a row each: `smallest_push` [N·m], `delay` [s], `threshold` [N·m], `false_alarms_per_hour`, `found_of_large`
+      [1], with 95 % intervals; `curves`, the same over the threshold.
+
+    Raises:
+      InputError: an estimator that looks ahead; a scenario without room for a push; too few hours for the rate.
+    """
+    from .scenarios.evaluation.contact import DEFAULT, study
+    from .scenarios.filters import estimators as registered
+
+    chosen = registered(_names(estimators) or DEFAULT)
+    return study(*_scenario(scenario, None, changes), chosen, hours, tuple(tolerances), rate, _cores())
+
+
+def sweep(
+    study: str | Path | Mapping[str, Any],
+    out: str | Path,
+    seeds: int | None = None,
+    figures: bool = True,
+    chunk: int | None = None,
+    scheduler: str | None = None,
+) -> Swept:
+    """Sweep a study into a folder: seeds × parameters × scenarios × filters. An interrupted sweep continues when called again.
+
+    Args:
+      study: name of a shipped study, path of a YAML file, or its content.
+      out: folder for the rows (partitioned Parquet), `summary.md`, `summary.csv`, the worst runs and figures.
+      seeds: number of seeds, instead of the study's.
+      figures: whether to draw them.
+      chunk: runs per file; the rows do not depend on it.
+      scheduler: address of a Dask scheduler, `tcp://…`, to compute on its workers.
+
+    Returns:
+      `table()`: means over seeds with 95 % intervals, and differences paired over seeds, in the metrics' units (`compare`);
+      `aggregates`; `worst`, the worst run of every scenario.
+
+    Raises:
+      InputError: a wrong study; a folder with other content; no such scheduler.
+    """
+    from .models.output import check_output
+    from .scenarios.studies.sweep import sweep as compute
+    from .scenarios.studies.swept import open_study, summarise
+    from .views.sweep_files import write_summary
+
+    dataset = open_study(study, Path(out), seeds)
+    check_output(Path(out), "sweep", writes=("summary.csv", "summary.md"))
+    compute(dataset.design, dataset, _cores(), chunk, scheduler)
+    found = summarise(dataset)
+    write_summary(found, figures)
+    return found
+
+
+def check(measurement: Measured, joint: str | Path | Joint | None = None) -> Check:
+    """Check a measurement: contents, mistakes in it, missing channels, and the causes that it can show.
+
+    Args:
+      measurement, joint: as of `diagnose`.
+
+    Returns:
+      `mistakes` with corrections and confidence; `corrected`, the measurement without them; `recordings`: rates [Hz], gaps [s]
+      and ranges of channels, SI; `missing` channels; `can_show` and `undetermined` causes; `regressions`; `to_json()`.
+
+    Raises:
+      InputError: a measurement or joint that is wrong; names file, column and row.
+    """
+    from .diagnosis.check import check as check_measurement
+
+    return check_measurement(*_with_gaps(measurement, joint))
 
 
 def diagnose(
@@ -379,18 +504,40 @@ def plan(measurement: Measured, joint: str | Path | Joint | None = None, diagnos
 
     Args:
       measurement, joint: as of `diagnose`.
-      diagnosis: of that measurement with that joint; computed here if it is not given.
+      diagnosis: of that measurement with that joint; by default a short one, as of `flexspline plan`.
 
     Returns:
-      The plan: open `questions`; `proposals`, the most informative first; `sentences()` for people.
+      The plan: open `questions`; `proposals`, the most informative first, with `duration` [s]; `sentences()` for people.
 
     Raises:
-      InputError: as `diagnose`.
+      InputError: as `diagnose`; a measurement for which nothing can be planned.
     """
     from .diagnosis.planning import plan as plan_measurement
+    from .diagnosis.proposals import plan_from
 
     data, described = _with_gaps(measurement, joint)
-    return plan_measurement(data, diagnosis if diagnosis is not None else diagnose(data, described))
+    return plan_from(data, described) if diagnosis is None else plan_measurement(data, diagnosis)
+
+
+def report(folders: str | Path | Sequence[str | Path], out: str | Path = "report.html") -> Path:
+    """Write one self-contained HTML page of results that a command or `sweep` wrote.
+
+    Args:
+      folders: folder of a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact; or the folders of two
+        diagnoses of a joint, before and after.
+      out: the page; only a page of this program is replaced.
+
+    Returns:
+      Path of the page.
+
+    Raises:
+      InputError: a folder with other content; another file in place of the page.
+    """
+    from .views.pages.of_folders import write_page
+
+    several = [folders] if isinstance(folders, (str, Path)) else folders
+    write_page([Path(one) for one in several], Path(out))
+    return Path(out)
 
 
 def validate(measurement: Measured, joint: str | Path | Joint | None = None) -> Validation:
@@ -519,6 +666,25 @@ def _cores() -> int:
     import os
 
     return os.cpu_count() or 1
+
+
+def _names(given: Iterable[str]) -> list[str]:
+    return [given] if isinstance(given, str) else list(given)
+
+
+def _several(
+    scenarios: str | Path | Scenario | Sequence[str | Path | Scenario], seed: int | None, changes: Mapping[str, Any]
+) -> list[tuple[Scenario, Path | None]]:
+    """Scenarios with changes, each of another name, with the folders of their files."""
+    from .models.errors import InputError
+
+    several = [scenarios] if isinstance(scenarios, str) or not isinstance(scenarios, Sequence) else scenarios
+    asked = [_scenario(one, seed, changes) for one in several]
+    names = [scenario.name for scenario, _ in asked]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"scenario {name}: expected each scenario once, got it twice")
+    return asked
 
 
 def _scenario(

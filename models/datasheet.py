@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from .catalogue import Gear, gear
+from .characteristics import drive_gains
+from .controller import Controller
 from .errors import InputError, nearest
 from .files import check_name, flow_text, write_into_place
 from .gear_sheet import GearFit, GearSheet, fit, hysteresis
@@ -247,6 +249,8 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
     if sheet.gear is not None and sheet.gear.hysteresis_loss is not None:
         effect = hysteresis(sheet.gear, joint.record(), values["rated_torque"])
         joint = as_joint(data | {"effects": [*fitted.effects, *effect]}, path)
+    kp, kd = (float(f"{gain:.3g}") for gain in drive_gains(joint))
+    joint = joint.model_copy(update={"controller": Controller(kp=kp, kd=kd)})
     return NewJoint(joint, tuple(_filled(data, sheet)), catalogued, path)
 
 
@@ -287,6 +291,7 @@ _SECTIONS = {
     "numbers": "source: where it is from; a rule is what `flexspline joint new` filled, typical of the size.\n"
     "# tolerance: relative, deviation: absolute standard deviation that datasheet and calibration leave open.",
     "mountings": "inertia in kg·m² about the joint axis, gravity_moment in N·m at horizontal",
+    "controller": "as fast as the test joint's: gains in proportion to (Jm + Jw)/Kt; kp in A/rad, kd in A·s/rad, motor side",
     "sensors": "noise rms in the sensor's unit, delay in s, rate in Hz",
 }
 

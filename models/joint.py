@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from . import causes, units
+from .controller import Controller
 from .errors import InputError, InputWarning, is_there, nearest
 from .faults import contradictions, unlike_mjcf
 from .files import Line, Strict, load, parse, place, write_into_place, yaml_text
@@ -72,6 +73,8 @@ class Joint(Strict):
     """Loads on the output, by name."""
     sensors: Sensors
     """Their properties."""
+    controller: Controller | None = None
+    """Position controller with stable gains for this joint; a scenario's own gains take precedence."""
     effects: Annotated[list[Effect], Field(max_length=32)] = []
     """Applied in their order: a factor multiplies the result of the effects before it."""
     discrepancies: Annotated[list[Discrepancy], Field(max_length=N_DISCREPANCIES)] = []

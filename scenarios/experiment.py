@@ -73,6 +73,7 @@ class Experiment:
           InputError: an unknown joint or mounting, or a mounting without a gravity moment to change.
         """
         joint, known_joint = scenario.load_joint(folder)
+        scenario = scenario.with_gains(joint)
         mounting, known_mounting = (scenario.mount(j) for j in (joint, known_joint))
         if load is not None:
             mounting, known_mounting = _loaded(mounting, load), _loaded(known_mounting, load)

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
+from ..models.controller import Controller
 from ..models.errors import InputError, nearest, unknown_key
 from ..models.files import M, Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import Joint, load_joint
@@ -20,7 +21,6 @@ from ..models.joint_parts import SYMBOLS, Mounting, Sensors
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import check_channels
 from ..models.signals import SENSED
-from ..sim.drive import Controller
 from ..sim.loop import CONTROL_PERIOD
 from ..sim.plant import TIMESTEP
 from ..sim.sensors import realistic, stream
@@ -161,7 +161,7 @@ class Scenario(Strict):
     ] = "command"
     jitter: Annotated[float, Field(ge=0, lt=1e-3, description="of the time stamps, s rms")] = 0.0
     controller: Controller = Controller()
-    """Position controller."""
+    """Position controller; keys that it does not state are the joint's, if that has a `controller`."""
     feedback: Annotated[str, Field(description="filter whose estimate is fed back, `sensor`, or `none`")] = "none"
     temperature: Annotated[Temperature, Field(description="of the gear, °C")] = Temperature(
         start=REFERENCE_TEMPERATURE, end=REFERENCE_TEMPERATURE
@@ -317,6 +317,16 @@ class Scenario(Strict):
             joint._path = path
         return joint, known
 
+    def with_gains(self, joint: Joint) -> Self:
+        """Return the scenario with the controller of its joint, changed by the keys that the scenario states."""
+        if joint.controller is None:
+            return self
+        own = self.controller
+        chosen = joint.controller.changed_by(own)
+        if self.sensors == "realistic" and own == Controller().lagging(own.delay):  # not stated by anyone
+            chosen = joint.controller if joint.controller.delay else joint.controller.lagging(own.delay)
+        return self.model_copy(update={"controller": chosen})
+
     def mount(self, joint: Joint) -> Mounting:
         """Return the payload of a joint's output; `InputError` for an unknown mounting."""
         return joint.mount(self.mounting or None) if self.link is None else self.link
@@ -427,14 +437,20 @@ def read_scenario(
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scenario's data with other values of dotted keys.
+    """Return the data that a scenario states, with other values of dotted keys; defaults may depend on these.
 
     Raises:
       InputError: an unknown key.
     """
-    data = scenario.model_dump(mode="json", exclude_none=True)
+    data = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
     put_all(data, changes, f"scenario {scenario.name}")
     return data
+
+
+def stated(scenario: Scenario) -> dict[str, Any]:
+    """Return a scenario's data, of its controller only the keys that it states: the others may be the joint's."""
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    return data | {"controller": scenario.controller.model_dump(exclude_unset=True)}
 
 
 def put_all(data: dict[str, Any], changes: Mapping[str, Any], where: str) -> None:

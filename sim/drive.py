@@ -6,82 +6,8 @@ The current controller, winding and supply are MuJoCo's `dcmotor` (R, L, back-EM
 from __future__ import annotations
 
 import math
-from typing import Annotated
 
-import numpy as np
-from pydantic import Field
-
-from ..models.files import Strict
 from ..models.kernels import kernel
-
-CONTROLLER = np.dtype(
-    [
-        (name, np.float64)
-        for name in ("kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain", "gravity", "delay")
-    ]
-)
-"""The controller as one record for compiled code."""
-
-
-class Controller(Strict):
-    """Position controller: PD with optional integral on the measured motor angle, and joint torque feedback.
-
-    `i = kp·e + kd·e' + ki·∫e dt + torque_feedback·T̂/(N·Kt)`, clipped at the motor's current limit, with e = N·q_d −
-    θm. The measured velocity is the difference quotient of the encoder through a first-order low-pass. The integral
-    stops while the current is clipped. `delay`: dead time of the drive, from the command to the winding.
-
-    With a gain kT = `torque_loop` the estimate closes a torque loop instead, inside an impedance (Albu-Schäffer, Ott
-    & Hirzinger, "A unified passivity-based control framework for position, torque and impedance control of flexible
-    joint robots", IJRR 2007):
-
-        u = N·Kt·(kp·e + kd·e') + gravity·Mg·sin(θm/N)        i = (u + kT·(u − T̂))/(N·Kt)
-
-    The joint then has the torque u, with 1/(1 + kT) of the rotor's inertia and the friction. N²·Kt·kp is its
-    stiffness [N·m/rad], N²·Kt·kd its damping [N·m·s/rad].
-    """
-
-    kp: Annotated[float, Field(ge=0, description="A/rad, motor side")] = 8.0
-    kd: Annotated[float, Field(ge=0, description="A·s/rad, motor side")] = 0.08
-    ki: Annotated[float, Field(ge=0, description="A/(rad·s), motor side")] = 0.0
-    velocity_filter: Annotated[float, Field(ge=0, lt=1, description="time constant, s")] = 0.002
-    torque_feedback: Annotated[
-        float, Field(ge=0, le=1, description="share of the estimated torque that is fed back")
-    ] = 0.8
-    delay: Annotated[float, Field(ge=0, le=0.02, description="from the command to the winding, s")] = 0.0
-
-    torque_loop: Annotated[float, Field(ge=0, le=1000, description="gain of the torque loop; 0: none")] = 0.0
-    gravity: Annotated[
-        float, Field(ge=0, le=1, description="share of the link's weight that the drive compensates")
-    ] = 0.0
-
-    def lagging(self, delay: float) -> Controller:
-        """Return the controller for a drive with a delay [s]: lower gains with the same phase margin.
-
-        The dead time, half a control period and the velocity's low-pass lag together. At the crossover, about
-        Kt·kd/J, their phase stays the same if kd falls as they grow, and kp with its square.
-        """
-        own = 0.5e-3 + self.velocity_filter
-        share = own / (own + delay)
-        return self.model_copy(
-            update={"kp": share**2 * self.kp, "kd": share * self.kd, "ki": share**3 * self.ki, "delay": delay}
-        )
-
-    def record(self, p: np.void, dt: float, feedback: bool) -> np.ndarray:
-        """Return the controller for a joint's parameters and a control period [s], as a record, shape (1,)."""
-        record = np.zeros(1, CONTROLLER)
-        c = record[0]
-        c["kp"], c["kd"], c["ki"] = self.kp, self.kd, self.ki
-        c["filter"] = 1.0 - math.exp(-dt / self.velocity_filter) if self.velocity_filter > 0 else 1.0
-        c["limit"], c["gear"] = p["current_limit"], p["N"]
-        c["delay"] = self.delay
-        unit = p["N"] * p["Kt"]
-        c["torque_gain"] = self.torque_feedback / unit if feedback else 0.0
-        c["gravity"] = self.gravity * p["Mg"] / unit
-        if feedback and self.torque_loop > 0.0:
-            for name in ("kp", "kd", "ki", "gravity"):
-                c[name] *= 1.0 + self.torque_loop
-            c["torque_gain"] = -self.torque_loop / unit
-        return record
 
 
 @kernel

@@ -99,7 +99,7 @@ class Driven:
       record: the plant's parameter record, shape (1,).
       position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
       sensors, noise: of `sim.sensors`.
-      controller: `drive.CONTROLLER` record, shape (1,).
+      controller: `models.controller.CONTROLLER` record, shape (1,).
       feedback: the estimator in the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: no feedback.
       temperature: of the gear [°C], shape (n,); constant by default.
       tip_force: tangential force on the link [N] that causes the external torque, shape (n,): the wrench shows it. By

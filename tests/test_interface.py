@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 import re
 import typing
 from pathlib import Path
@@ -14,13 +15,16 @@ import pandas as pd
 import pytest
 
 import flexspline as fs
+from flexspline.commands.check import command
 from flexspline.diagnosis.answer import Diagnosis, Finding
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.validate import ChannelError
 from flexspline.estimator import registry
 from flexspline.models import causes
+from flexspline.models.files import json_text
 from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import read_recording, write_recording
+from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
 
 SHORT = {"duration": 2.0, "transient": 0.5}
@@ -60,6 +64,16 @@ def test_simulate(run):
     assert list(run.estimates) == ["RAREKF", "lowpass"] and len(run.time) == 2000
     again = fs.simulate(load_scenario("link_sweep")[0], seed=3, **SHORT, filters=["lowpass"], controller__kp=7.0)
     assert again.estimate("lowpass").tobytes() == run.estimate("lowpass").tobytes()
+
+
+def test_realistic_sensors_are_those_of_the_command_line():
+    """With the drive's lag and the jitter of the time stamps; also from a `Scenario`."""
+    few = {**SHORT, "filters": ["current"], "sensors": "realistic"}
+    by_set = run_scenario(*load_scenario("link_sweep", [f"{key}={value}" for key, value in few.items()]))
+    for source in ("link_sweep", load_scenario("link_sweep")[0]):
+        run = fs.simulate(source, **few)
+        assert run.scenario.controller.delay == 2e-3 and run.scenario == by_set.scenario
+        assert run.estimate("current").tobytes() == by_set.estimate("current").tobytes()
 
 
 def test_a_joints_file_is_looked_for_where_one_stands(tmp_path, monkeypatch):
@@ -137,6 +151,60 @@ def test_compare():
         assert theirs.loc[("link_sweep", name), "rms"] == values["rms"]
 
 
+def short(result) -> str:
+    """The `repr` of a result, which has at most ten lines."""
+    text = repr(result)
+    assert text.startswith(type(result).__name__) and len(text.splitlines()) <= 10 and len(text) < 800
+    return text
+
+
+def test_check_has_the_contents_of_the_command(tmp_path, capsys):
+    run = fs.simulate("link_sweep", duration=8, filters=["current"])
+    found = fs.check(run)
+    assert found.can_show and not found.mistakes and found.recordings[0].samples == 8000
+    assert set(found.can_show).isdisjoint(found.undetermined) and "mistakes: none" in short(found)
+    path = write_recording(run.as_recording(), tmp_path)
+    command(measurement=path, as_json=True)
+    assert json.loads(capsys.readouterr().out) == json.loads(json_text(fs.check(path).to_json()))
+
+
+def test_tune():
+    found = fs.tune("external_push", "EKF", train=[1], test=[11, 12], evaluations=8, fronts=True, duration=9)
+    one = found.tuned["EKF"]
+    assert one.test_tuned.shape == (1, 2) and one.train[1] <= one.train[0] and found.pushed == "external_push"
+    assert "EKF" in short(found) and len(found.fronts) == 1
+    tuned = fs.simulate("external_push", seed=1, **SHORT, filters=found.filters)
+    assert tuned.scenario.estimators()["EKF"].V == pytest.approx(one.tuned.V, rel=1e-5)
+
+
+def test_contact():
+    found = fs.contact(estimators="current", hours=0.05, tolerances=[0.0], rate=400, duration=20)
+    rows = {row["estimator"]: row for row in found.detectors}
+    assert set(rows) == {"torque sensor", "current"} and found.scenario == "collision"
+    assert rows["current"]["threshold"] > 0 and {row["estimator"] for row in found.curves} == set(rows)
+    assert "torque sensor" in short(found)
+
+
+def test_sweep_and_report(tmp_path):
+    study = {"name": "tiny", "seeds": [1, 2, 3], "scenarios": ["link_sweep"], "set": SHORT, "metrics": ["rms"]}
+    study |= {"filters": ["EKF", "lowpass"]}
+    found = fs.sweep(study, tmp_path / "sweep", seeds=2, figures=False)
+    table = found.table()
+    assert list(table["filter"]) == ["EKF", "lowpass"] and list(table["runs"]) == [2, 2]
+    (worst,) = found.worst
+    run = fs.simulate(worst.again)
+    assert run.metrics["filters"][worst.filter]["rms"] == worst.value > table["rms_mean"].max() and "tiny" in short(
+        found
+    )
+    again = fs.sweep(study, tmp_path / "sweep", seeds=2, figures=False)
+    pd.testing.assert_frame_equal(again.table(), table)
+    page = fs.report(tmp_path / "sweep", tmp_path / "page.html")
+    assert "tiny" in page.read_text(encoding="utf-8")
+    (tmp_path / "own.html").write_text("mine", encoding="utf-8")
+    with pytest.raises(fs.InputError, match="a page of this program, got another file"):
+        fs.report(tmp_path / "sweep", tmp_path / "own.html")
+
+
 def test_tables_of_what_there_is():
     assert tuple(fs.estimators().index) == registry.names() and fs.estimators().loc["rts_smoother", "causal"] == False  # noqa: E712
     assert list(fs.causes().index) == causes.names()
@@ -166,6 +234,14 @@ def test_tables_of_what_there_is():
             lambda: fs.simulate_arm("two_joints", arm__7__joint=fs.load_joint("test-joint")),
             "expected a number from 0 to 1",
         ),
+        (lambda: fs.tune("no_load", "EKF", train=[1, 2], test=[2]), "got 2 in both"),
+        (lambda: fs.tune("torque_feedback", "EKF", train=[1], test=[2]), "feedback: expected none or sensor"),
+        (lambda: fs.contact(estimators="rts_smoother"), "expected a causal estimator"),
+        (lambda: fs.contact(tolerances=[1, 1]), "tolerance: expected shares from 0 to 100, each once, got [1, 1]"),
+        (lambda: fs.sweep("noise_and_laod", "x"), "did you mean 'noise_and_load'"),
+        (lambda: fs.sweep({"name": "one"}, "x"), "study: seeds: missing"),
+        (lambda: fs.report("nothing"), "nothing: expected a folder of a run"),
+        (lambda: fs.check("nothing.parquet"), "nothing.parquet: expected a recording"),
         (lambda: fs.diagnose([]), "expected recordings or runs, got none"),
         (lambda: fs.validate([3]), "expected a path, recordings or runs, got int"),
         (lambda: fs.estimate("nothing.parquet"), "no such file"),

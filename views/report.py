@@ -60,10 +60,10 @@ def gravity_sentence(d: Diagnosis, gained: Improvement | None) -> str:
     if not d.causes:
         return ""
     whole, one = min(sum(c.explains for c in d.causes), 1.0), len(d.causes) == 1
-    largest = max(d.causes, key=lambda c: c.worth)
+    largest = max(d.causes, key=lambda c: c.contribution)
     text = (
         f"{'This explains' if one else 'Together they explain'} {percent(whole)} of the error after calibration; "
-        f"{'it' if one else title(largest)} makes the simulation wrong by {_torque(largest.worth, d)}."
+        f"{'it' if one else title(largest)} makes the simulation wrong by {_torque(largest.contribution, d)}."
     )
     if gained is not None and gained.main in gained.errors:
         before, after = gained.errors[gained.main]
@@ -78,9 +78,7 @@ def further_reasons(d: Diagnosis) -> tuple[str, ...]:
 
 def share_line(c: Finding, d: Diagnosis) -> str:
     """Return confidence and size of a finding."""
-    text = (
-        f"{percent(c.confidence)} sure, explains {percent(c.explains)}, {_torque(c.worth, d)} of the simulation's error"
-    )
+    text = f"{percent(c.confidence)} sure, explains {percent(c.explains)}, {_torque(c.contribution, d)} of the simulation's error"
     return text + ("" if math.isnan(c.estimation) else f" and {c.estimation:.2g} N·m of the estimates'")
 
 

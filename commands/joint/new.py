@@ -185,7 +185,6 @@ def _spread(tolerance: float) -> str:
 def _show(made: NewJoint, path: Path, mjcf: Path, catalogue: GearSheet | None) -> None:
     from rich.text import Text
 
-    from ...models.characteristics import drive_gains
     from ...models.joint_check import check
     from ...views.joint_text import comparison_text
     from ...views.tables import narrow_table
@@ -210,9 +209,6 @@ def _show(made: NewJoint, path: Path, mjcf: Path, catalogue: GearSheet | None) -
     for problem in check(path).problems:
         terminal.print(line(path, problem), style="yellow", soft_wrap=True)
     terminal.print(f"{path} and {mjcf}")
-    kp, kd = drive_gains(made.joint)
     terminal.print(
-        f"now: flexspline joint show {path}\n     flexspline run link_sweep --set joint={path} --set controller.kp={kp:.2g} "
-        f"--set controller.kd={kd:.2g}",
-        soft_wrap=True,
+        f"now: flexspline joint show {path}\n     flexspline run link_sweep --set joint={path}", soft_wrap=True
     )

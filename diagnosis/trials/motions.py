@@ -6,16 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...models.controller import Controller
 from ...models.joint import Joint
 from ...models.joint_parts import Mounting
 from ...models.recording import Recording
 from ...scenarios.scenario import Disturbance, Scenario, Waypoint
 from ...sim import plant, sensors
-from ...sim.drive import Controller
 from ...sim.loop import CONTROL_PERIOD, ClosedLoop, Driven
 from .outside import sign
 
 CONTROLLER = Controller(kp=8.0, kd=0.08, ki=20.0)
+"""Of trials and planned experiments, unless the joint has its own."""
 
 
 def motions(
@@ -89,6 +90,7 @@ def record_motion(
     position, velocity = scenario.commands()
     external = scenario.external_torque()
     n = len(position)
+    controller = (nominal.controller if scenario.controller == CONTROLLER else None) or scenario.controller
     driven = Driven(
         record,
         position,
@@ -96,7 +98,7 @@ def record_motion(
         external,
         sensors.sensor_records(nominal, float(record[0]["link_delay"]), CONTROL_PERIOD),
         sensors.noise(nominal, seed, n, CONTROL_PERIOD),
-        scenario.controller.record(record[0], CONTROL_PERIOD, False),
+        controller.record(record[0], CONTROL_PERIOD, False),
         temperature=float(record[0]["reference_temperature"]) + warming * CONTROL_PERIOD * np.arange(n),
     )
     model = plant.build(

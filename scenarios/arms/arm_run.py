@@ -61,10 +61,10 @@ def run_arm(
     mjcf = plant.rigid(known)
     middle = {name: float(np.median(e.position)) for name, e in zip(names, alone, strict=True)}
     experiments = []
-    for name, joint, e in zip(names, scenario.arm, alone, strict=True):
+    for name, e in zip(names, alone, strict=True):
         others = {other: angle for other, angle in middle.items() if other != name}
         link = Arm.of_text(ArmSpec(model=_MJCF, joint=name), mjcf).mounting(others)
-        own = _alone(scenario, joint).model_copy(update={"link": link, "mounting": ""})
+        own = _alone(scenario, e.scenario).model_copy(update={"link": link, "mounting": ""})
         described = KnownJoint.of(e.known_joint, link)
         experiments.append(replace(e, scenario=own, known=described))
     model = plant.build(joints, scenario.timestep)

@@ -123,12 +123,12 @@ class ArmScenario(Strict):
             arm[int(place)] = arm[int(place)].with_joints({name: one})
         return self.model_copy(update={"arm": arm})
 
-    def written(self) -> dict[str, Any]:
-        """Return plain data, as in a file, with the common keys once."""
-        data = self.model_dump(mode="json", exclude_none=True)
+    def written(self, stated: bool = False) -> dict[str, Any]:
+        """Return plain data, as in a file, with the common keys once; `stated`: without defaults."""
+        data = self.model_dump(mode="json", exclude_none=True, exclude_unset=stated)
         for joint in data["arm"]:
             for key in _COMMON:
-                del joint[key]
+                joint.pop(key, None)
         return data
 
 
@@ -179,7 +179,7 @@ def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | N
       InputError: an unknown key or a wrong value.
     """
     where = f"scenario {scenario.name}"
-    data = scenario.written() | ({} if seed is None else {"seed": seed})
+    data = scenario.written(stated=True) | ({} if seed is None else {"seed": seed})
     put_all(data, changes, where)
     given_joints = {f"arm.{i}.{key}": one for i, j in enumerate(scenario.arm) for key, one in j.given_joints.items()}
     return parse(data, ArmScenario, where).with_joints({k: one for k, one in given_joints.items() if k not in changes})

@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +43,14 @@ DURATIONS = (0.1, 0.5)
 """Shortest and longest drawn push [s], a half sine, log-uniform."""
 BY_LINK = ", by the link"
 """Suffix for the link's observer with an estimator's joint torque, if the estimator has its own external torque."""
+DEFAULT = ("augmented", "momentum", "momentum_torsion", "current", "RAREKF", "AREKF", "EKF", "model")
+"""Estimators by default: fast ones, a few of each kind."""
 LARGE = 2.0
 """Smallest push for the delay [N·m]."""
 SHARE = 0.9
 """Share of pushes found at the smallest size."""
 _PERIOD = 5.0  # s: a push in each
+_SHOWN = 8  # detectors in the `repr` of a study
 _SECOND = 1.0  # s: alarms within it count as one
 _AFTER = 0.1  # s after a push, in which it may still be found
 _BEFORE = 0.5  # s before a push, without alarm
@@ -263,18 +267,96 @@ def external(
     return own, found.untrusted
 
 
-def check(scenario: Scenario, estimators: Mapping[str, Estimator], hours: float, rate: float | None = None) -> None:
-    """Check the arguments of `assess`.
+@dataclass(frozen=True)
+class ContactStudy:
+    """Collision detectors on the external torque of estimators, at the same number of false alarms.
+
+    Attributes:
+        scenario, joint: their names.
+        rate: false alarms per hour at which detectors are compared.
+        hours: without contact, as asked; `hours_counted`: for counting false alarms [h]; `runs`: without contact.
+        detectors: rows of `at` with the tolerance, by tolerance, the smallest push first.
+        curves: rows of `curve`: false alarms against smallest push and delay.
+    """
+
+    scenario: str
+    joint: str
+    rate: float
+    hours: float
+    hours_counted: float
+    runs: int
+    detectors: tuple[dict[str, Any], ...]
+    curves: tuple[dict[str, Any], ...]
+
+    def __repr__(self) -> str:
+        def best(row: Mapping[str, Any]) -> str:
+            push = "no push found" if row["smallest_push"] is None else f"{row['smallest_push']:.3g} N·m"
+            return f"  tolerance ×{row['tolerance']:g}, {row['estimator']}: {push}"
+
+        head = f"ContactStudy({self.scenario!r} of {self.joint}, {self.rate:g} false alarms per hour; smallest push:"
+        more = len(self.detectors) - _SHOWN
+        return "\n".join([head, *map(best, self.detectors[:_SHOWN]), f"  and {more} more)" if more > 0 else ")"])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data without the curves."""
+        names = ("scenario", "joint", "rate", "hours", "hours_counted", "runs")
+        return {name: getattr(self, name) for name in names} | {"detectors": list(self.detectors)}
+
+
+def study(
+    scenario: Scenario,
+    folder: Path | None,
+    estimators: Mapping[str, Estimator],
+    hours: float = 1.0,
+    tolerances: Sequence[float] = (0.0, 1.0),
+    rate: float = 10.0,
+    threads: int = 1,
+    progress: Callable[[float], None] = lambda tolerance: None,
+) -> ContactStudy:
+    """Compare detectors at `rate` false alarms per hour, for several shares of the joint's tolerances.
+
+    Args:
+        scenario, folder, estimators, hours, threads: as of `assess`.
+        tolerances: shares of the joint's tolerances.
+        progress: called with the share after each pair of runs.
+
+    Raises:
+        InputError: as `check`.
+    """
+    check(scenario, estimators, hours, rate, tolerances)
+    detectors, curves, found = [], [], []
+    for share in tolerances:
+        found = assess(scenario, folder, estimators, hours, share, threads, partial(progress, share))
+        detectors += ranked(found, rate, share)
+        curves += [row for one in found for row in curve(one, share)]
+    return ContactStudy(
+        scenario.name, scenario.load_joint(folder)[0].name, rate, hours, found[0].hours, len(found[0].quiet),
+        tuple(detectors), tuple(curves),
+    )  # fmt: skip
+
+
+def check(
+    scenario: Scenario,
+    estimators: Mapping[str, Estimator],
+    hours: float,
+    rate: float | None = None,
+    tolerances: Sequence[float] = (1.0,),
+) -> None:
+    """Check the arguments of `study`.
 
     Args:
         scenario: its motion.
         estimators: by name.
         hours: without contact.
         rate: false alarms per hour of a threshold, if any.
+        tolerances: shares of the joint's tolerances.
 
     Raises:
-        InputError: an estimator that looks ahead, torque feedback, or too little time.
+        InputError: a share that is negative or occurs twice, an estimator that looks ahead, torque feedback, or too little time.
     """
+    shares = list(tolerances)
+    if not shares or len(set(shares)) < len(shares) or not all(0 <= share <= 100 for share in shares):
+        raise InputError(f"tolerance: expected shares from 0 to 100, each once, got {shares}")
     for name, estimator in estimators.items():
         if not estimator.causal:
             raise InputError(f"contact: {name}: expected a causal estimator, got one that looks ahead")
@@ -286,7 +368,7 @@ def check(scenario: Scenario, estimators: Mapping[str, Estimator], hours: float,
         )
     if rate is not None and _exceeded(rate, runs_of(scenario, hours) // 2 * _seconds_of(scenario)) < 1.0:
         raise InputError(
-            f"--hours: expected at least {2 / rate:.2g} for thresholds of {rate:g} false alarms per hour, got {hours:g}"
+            f"hours: expected at least {2 / rate:.2g} for thresholds of {rate:g} false alarms per hour, got {hours:g}"
         )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from ...estimator.estimator import KnownJoint
 from ...models.calibration import Calibration
-from ...sim.drive import Controller
+from ...models.controller import Controller
 from ...sim.sensors import stream
 from ..experiment import Experiment
 from ..scenario import LAGGING, Disturbance, Scenario

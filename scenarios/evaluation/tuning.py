@@ -35,6 +35,7 @@ EVALUATIONS = 300
 _SCAN = 7  # values of the first parameter before the search
 _STEP = 0.08  # of a parameter's range: the first simplex
 _FAILED = 1e6  # N·m
+_SHOWN = 8  # estimators in the `repr` of a tuning
 
 
 @dataclass(frozen=True)
@@ -282,6 +283,113 @@ def _pair(point: np.ndarray) -> tuple[float, float]:
     return float(point[0]), float(point[1])
 
 
+# --- several estimators --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Estimators tuned on the same runs.
+
+    Attributes:
+        scenarios: names; the tuning is for all of them together.
+        train, test: seeds.
+        tuned: by name of the estimator.
+        fronts: noise against delay, an estimator each; empty without pushes.
+        pushed: the scenario of the fronts.
+    """
+
+    scenarios: tuple[str, ...]
+    train: tuple[int, ...]
+    test: tuple[int, ...]
+    tuned: dict[str, Tuned]
+    fronts: tuple[Front, ...] = ()
+    pushed: str = ""
+
+    @property
+    def filters(self) -> list[dict[str, Any]]:
+        """The tuned estimators as a scenario's `filters`."""
+        return [entry_of(one).model_dump() for one in self.tuned.values()]
+
+    def __repr__(self) -> str:
+        def line(one: Tuned) -> str:
+            values = ", ".join(f"{name} {value:.3g}" for name, value in one.values.items()) or "no parameters"
+            return f"  {one.name}: {one.default_score:.3g} -> {one.tuned_score:.3g} N·m; {values}"
+
+        lines, more = [line(one) for one in self.tuned.values()], len(self.tuned) - _SHOWN
+        head = f"Tuning({', '.join(self.scenarios)}; RMS error on test seeds, default -> tuned:"
+        return "\n".join([head, *lines[:_SHOWN], f"  and {more} more)" if more > 0 else ")"])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of `tuned.yaml`: estimators as a scenario's `filters`, and their RMS errors [N·m]."""
+        rms = {
+            one.name: {
+                "train": [round(v, 6) for v in one.train],
+                "test": [round(score(rms), 6) for rms in (one.test_default, one.test_tuned)],
+            }
+            for one in self.tuned.values()
+        }
+        head = {"format": 1, "scenarios": list(self.scenarios), "train": list(self.train), "test": list(self.test)}
+        return head | {"rms": rms, "filters": self.filters}
+
+    def write(self, path: Path) -> None:
+        """Write `tuned.yaml`."""
+        text = "# Found by `flexspline tune`. rms: default, tuned [N·m]. `filters` can be copied into a scenario.\n"
+        with write_into_place(path) as temporary:
+            temporary.write_text(text + yaml_text(self.to_json()), encoding="utf-8")
+
+
+def tune_all(
+    estimators: Mapping[str, Estimator],
+    scenarios: Sequence[tuple[Scenario, Path | None]],
+    train: Sequence[int],
+    test: Sequence[int],
+    evaluations: int = EVALUATIONS,
+    vary: bool = True,
+    fronts: bool = False,
+    threads: int = 1,
+    progress: Callable[[int, str], None] = lambda done, name: None,
+) -> Tuning:
+    """Tune estimators on the training seeds of scenarios, and evaluate them on the test seeds.
+
+    Args:
+        estimators: by name, with their defaults.
+        scenarios: with the folders of their files; one tuning serves all of them.
+        train, test: seeds, none in both.
+        evaluations, threads: as of `tune`; vary: as of `simulated`.
+        fronts: whether to sweep noise against delay on the test runs of the first scenario with pushes.
+        progress: called with the number of tuned estimators and the name of the next one.
+
+    Raises:
+        InputError: a seed in both; no seeds; a scenario with an estimate fed back.
+    """
+    check_seeds(train, test)
+    train_runs, test_runs = (simulated(scenarios, some, vary) for some in (train, test))
+    pushed = next((runs for runs in test_runs if fronts and runs[0].reference.events), None)
+    found, swept = {}, []
+    for done, (name, estimator) in enumerate(estimators.items()):
+        progress(done, name)
+        found[name] = tune(estimator, train_runs, test_runs, evaluations, threads)
+        if pushed:
+            swept.append(pareto(estimator, pushed, found[name].tuned, threads=threads))
+    names = tuple(scenario.name for scenario, _ in scenarios)
+    return Tuning(
+        names, tuple(map(int, train)), tuple(map(int, test)), found, tuple(swept), pushed[0].name if pushed else ""
+    )
+
+
+def check_seeds(train: Sequence[int], test: Sequence[int]) -> None:
+    """Refuse a seed that is in both, with `InputError`."""
+    both = sorted(set(train) & set(test))
+    if both:
+        raise InputError(f"test: expected other seeds than those of train, got {both[0]} in both")
+
+
+def entry_of(found: Tuned) -> FilterEntry:
+    """Return the tuned estimator as an entry of a scenario's `filters`, with six digits."""
+    values = {k: float(f"{v:.6g}") for k, v in _completed(found.default, found.values).items()}
+    return FilterEntry.model_validate({"name": found.name, "estimator": found.name, **values})
+
+
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
 
@@ -289,42 +397,3 @@ _Out = TypeVar("_Out")
 def _on_threads(function: Callable[[_In], _Out], items: Sequence[_In], threads: int) -> list[_Out]:
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(function, items))
-
-
-# --- the file ------------------------------------------------------------------------------------------------------
-
-
-def tuned_data(
-    found: Sequence[Tuned], scenarios: Sequence[str], train: Sequence[int], test: Sequence[int]
-) -> dict[str, Any]:
-    """Return the content of `tuned.yaml`: estimators as a scenario's `filters`, and their RMS errors [N·m]."""
-    return {
-        "format": 1,
-        "scenarios": list(scenarios),
-        "train": [int(s) for s in train],
-        "test": [int(s) for s in test],
-        "rms": {
-            one.name: {
-                "train": [round(v, 6) for v in one.train],
-                "test": [round(score(rms), 6) for rms in (one.test_default, one.test_tuned)],
-            }
-            for one in found
-        },
-        "filters": [entry_of(one).model_dump() for one in found],
-    }
-
-
-def write_tuned(
-    found: Sequence[Tuned], scenarios: Sequence[str], train: Sequence[int], test: Sequence[int], path: Path
-) -> None:
-    """Write `tuned_data` as `tuned.yaml`."""
-    text = "# Found by `flexspline tune`. rms: default, tuned [N·m]. `filters` can be copied into a scenario.\n"
-    text += yaml_text(tuned_data(found, scenarios, train, test))
-    with write_into_place(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def entry_of(found: Tuned) -> FilterEntry:
-    """Return the tuned estimator as an entry of a scenario's `filters`, with six digits."""
-    values = {k: float(f"{v:.6g}") for k, v in _completed(found.default, found.values).items()}
-    return FilterEntry.model_validate({"name": found.name, "estimator": found.name, **values})

@@ -22,13 +22,14 @@ from ...estimator import registry
 from ...estimator.estimator import Estimator
 from ...estimator.tuning_parameters import with_values
 from ...models import causes, own_sensors
+from ...models.controller import Controller
 from ...models.errors import InputError
 from ...models.files import parse
 from ...sim import sensors
 from ..evaluation import draws
 from ..experiment import Experiment
 from ..filters import FilterEntry
-from ..scenario import Scenario, load_scenario, put
+from ..scenario import Scenario, load_scenario, put, stated
 from .study import CauseAxis, LoadAxis, ScaleAxis, SettingAxis, Study, ToleranceAxis, Value, points, varies
 
 
@@ -81,7 +82,7 @@ class Design:
         for choice in study.scenarios:
             local = folder / choice.scenario
             scenario, home = load_scenario(local if local.is_file() else choice.scenario)
-            data = scenario.model_dump(mode="json", exclude_none=True)
+            data = stated(scenario)
             feeding = [f for f in scenario.filters if f.name == scenario.feedback and f.name not in study.names]
             data["filters"] = [f.model_dump() for f in [*study.filters, *feeding]]
             for key, value in (study.set | choice.set).items():
@@ -118,10 +119,12 @@ class Design:
             experiment.build()
             for joint in (experiment.joint, experiment.known_joint):
                 seen.add(hashlib.sha256(joint.mjcf.read_bytes()).hexdigest())
-                seen.add(hashlib.sha256(joint.model_dump_json().encode()).hexdigest())
+                unstated = {"controller"} if joint.controller is None else None
+                seen.add(hashlib.sha256(joint.model_dump_json(exclude=unstated).encode()).hexdigest())
                 seen.update(causes.origin(effect.name).state for effect in joint.effects)
         asked = self.study.model_dump(mode="json", exclude={"seeds", "description", "reference"})
-        data = {name: data for name, (data, _) in self.scenarios.items()}
+        gains = Controller().model_dump()
+        data = {name: data | {"controller": gains | data["controller"]} for name, (data, _) in self.scenarios.items()}
         text = json.dumps([asked, data, sorted(seen - {""})], sort_keys=True, ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()
 

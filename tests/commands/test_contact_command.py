@@ -53,9 +53,9 @@ def test_terminal_page_and_json_have_the_same_numbers(flexspline, tmp_path):
     [
         (("--filter", "rts_smoother"), "expected a causal estimator"),
         (("--set", "feedback=RAREKF"), "feedback"),
-        (("--tolerance", "1", "--tolerance", "1"), "--tolerance"),
+        (("--tolerance", "1", "--tolerance", "1"), "tolerance: expected shares from 0 to 100, each once"),
         (("--set", "duration=6"), "duration"),
-        ((), "--hours: expected at least 0.2 for thresholds of 10 false alarms per hour, got 0.05"),
+        ((), "hours: expected at least 0.2 for thresholds of 10 false alarms per hour, got 0.05"),
     ],
 )
 def test_mistakes(flexspline, words, said):

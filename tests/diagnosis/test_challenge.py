@@ -302,7 +302,7 @@ def test_orders_next_to_an_unknown_friction_contribute_little():
     drawn = draw(Challenge(seed=920, hidden="outside"), 3)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == "unknown" and found.causes[0].component == "transmission"
-    assert all(c.worth < 2.0 for c in (*found.causes, *found.minor))
+    assert all(c.contribution < 2.0 for c in (*found.causes, *found.minor))
 
 
 @pytest.mark.slow
@@ -509,7 +509,7 @@ def test_of_two_causes_worth_the_same_the_one_that_is_larger_for_its_kind_stands
     drawn = draw(Challenge(hidden="one", seed=1010, real=True), 27)
     first, second = diagnose(drawn.measurement, drawn.nominal).causes
     assert (first.name, second.name) == ("link_inertia", "link_flexibility")
-    assert second.worth == pytest.approx(first.worth, rel=0.15)
+    assert second.contribution == pytest.approx(first.contribution, rel=0.15)
 
 
 EXAMPLES = [
@@ -841,8 +841,8 @@ def test_causes_are_told_by_what_they_are_worth_to_estimators_too():
     found = diagnose(one.measurement, one.nominal)
     assert [e.name for e in one.effects] == ["mesh_friction"]
     assert found.causes[0].name == "mesh_friction" and found.causes[0].confidence > 0.9
-    assert [c.worth for c in found.causes] == sorted((c.worth for c in found.causes), reverse=True)
-    assert all(0.0 <= c.estimation <= c.worth for c in found.causes)
+    assert [c.contribution for c in found.causes] == sorted((c.contribution for c in found.causes), reverse=True)
+    assert all(0.0 <= c.estimation <= c.contribution for c in found.causes)
     assert sum(c.explains for c in found.causes) <= 1.0 + 1e-9
 
 

@@ -25,6 +25,7 @@ from flexspline.diagnosis.improvement import held_out, improvement, with_improve
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.search.explore import Decision
 from flexspline.models import causes
+from flexspline.models.controller import Controller
 from flexspline.models.joint import load_joint
 from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import Measurement, read_measurement, write_recording
@@ -193,6 +194,13 @@ def test_commands_to_copy_are_what_the_command_line_takes(report, typed):
     mended = replace(report, diagnosis=replace(report.diagnosis, mistakes=(mistake,)))
     assert report.diagnosis.problem is not None and not report.diagnosis.mistakes
     assert len(typed(html(report))) == 4 and len(typed(html(mended))) == 6
+
+
+def test_the_command_states_gains_only_if_the_joint_has_none(report):
+    joint = report.joint.model_copy(update={"name": "own"})
+    stated = joint.model_copy(update={"controller": Controller(kp=5.0)})
+    pages = [html(replace(report, joint=one)) for one in (joint, stated)]
+    assert ["--set controller.kp=" in page for page in pages] == [True, False]
 
 
 def test_page_says_one_by_one_what_holds_the_verdict_back(report):

@@ -181,7 +181,7 @@ def test_command_writes_what_the_specification_says(tmp_path, flexspline):
 
 
 @pytest.mark.slow
-def test_an_untared_zero_is_said_where_it_is_most_of_the_error(tmp_path, flexspline):
+def test_an_encoder_offset_is_reported_if_it_is_most_of_the_error(tmp_path, flexspline):
     """0.6 mrad of a link encoder whose zero is known to 1 mrad; one that is known to 1 µrad is wrong instead."""
     _, measurement = sweep()
     (r,) = measurement.recordings
@@ -191,7 +191,7 @@ def test_an_untared_zero_is_said_where_it_is_most_of_the_error(tmp_path, flexspl
         data["sensors"]["link_encoder"]["zero"] = {"value": 0.0, "std": std, "unit": "rad", "source": "a test"}
         described = type(load_joint("test-joint")).model_validate(data)
         found = validate(replace(measurement, recordings=(size,)), described)
-        assert found.untared == found.to_json()["untared"] == expected
+        assert found.mostly_offset == found.to_json()["untared"] == expected
     write_recording(shifted, tmp_path / "data")
     code, out, _ = flexspline("validate", tmp_path / "data", "--joint", "test-joint", "--out", tmp_path / "out")
     said = " ".join(out.split())

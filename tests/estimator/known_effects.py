@@ -9,10 +9,10 @@ import numpy as np
 
 from flexspline.estimator import Estimator, KnownJoint
 from flexspline.models import causes
+from flexspline.models.controller import Controller
 from flexspline.models.joint import load_joint
 from flexspline.models.signals import Signals
 from flexspline.sim import loop, plant, sensors
-from flexspline.sim.drive import Controller
 
 JOINT = load_joint("test-joint")
 MOUNTING = JOINT.mount("link")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from flexspline.estimator import registry
+from flexspline.models.controller import Controller
 from flexspline.models.errors import InputError
 from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.experiment import Experiment, signals_of
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.run_folder import load_run, save_run
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.sim.drive import Controller
 from flexspline.sim.loop import CONTROL_PERIOD
 
 PUSH = "disturbances=[{kind: push, start: 0.5, duration: 0.3, torque: 5}]"

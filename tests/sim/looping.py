@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from driving import JOINT
 
+from flexspline.models.controller import Controller
 from flexspline.sim import plant
-from flexspline.sim.drive import Controller
 from flexspline.sim.loop import CONTROL_PERIOD, ClosedLoop, Driven, Simulation
 from flexspline.sim.sensors import noise, sensor_records
 

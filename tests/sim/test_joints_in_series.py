@@ -14,10 +14,10 @@ from looping import motion, simulate, simulate_together
 from flexspline.models import dynamics, laws
 from flexspline.models.arm import ArmSpec
 from flexspline.models.arm_dynamics import Arm
+from flexspline.models.controller import Controller
 from flexspline.models.joint_parts import EncoderSpec, Mounting
 from flexspline.sim import arm, plant, plugin
 from flexspline.sim.arm import ArmJoint
-from flexspline.sim.drive import Controller
 from flexspline.sim.loop import CONTROL_PERIOD, ClosedLoop, Driven
 from flexspline.sim.sensors import noise, sensor_records
 

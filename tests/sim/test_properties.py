@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from looping import simulate
 from test_energy import energies
 
+from flexspline.models.controller import Controller
 from flexspline.models.signals import READINGS, SENSED
 from flexspline.sim import plant
-from flexspline.sim.drive import Controller
 from flexspline.sim.loop import CONTROL_PERIOD, TRUTH
 from flexspline.sim.sensors import noise, sensor_records
 

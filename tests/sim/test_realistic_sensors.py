@@ -10,10 +10,10 @@ import pytest
 from driving import JOINT
 from looping import motion, simulate
 
+from flexspline.models.controller import Controller
 from flexspline.models.joint_parts import WrenchSpec
 from flexspline.models.signals import SENSED, WRENCH
 from flexspline.sim import plant
-from flexspline.sim.drive import Controller
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.sim.sensors import noise, realistic, sensor_records, time_stamps, wrench_crosstalk
 

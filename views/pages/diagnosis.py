@@ -166,8 +166,8 @@ def _commands(report: Report) -> dict[str, str]:
 
 
 def _gains(report: Report) -> str:
-    """Options with the controller's gains for a joint that the scenario's own gains are not made for."""
-    if report.joint.name == "test-joint":
+    """Options with the controller's gains for a joint that has none in its file."""
+    if report.joint.name == "test-joint" or report.joint.controller is not None:
         return ""
     kp, kd = drive_gains(report.joint)
     return f" --set controller.kp={kp:.2g} --set controller.kd={kd:.2g}"
@@ -199,7 +199,7 @@ def _cause(report: Report, c: Finding) -> dict[str, Any]:
         "symbols": {piece: words for piece, words in pieces(text) if words},
         "confidence": c.confidence,
         "explains": c.explains,
-        "worth": c.worth,
+        "contribution": c.contribution,
         "of": "simulation error" if np.isnan(c.estimation) else "simulation and estimation error",
         "parameters": rows,
     }

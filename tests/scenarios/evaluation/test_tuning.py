@@ -153,7 +153,9 @@ def test_the_file_is_a_scenarios_filters(runs, tmp_path):
     """Every tuned estimator is an entry that a scenario takes, and is then what was tuned, to six digits."""
     train, test = runs
     found = [tuning.tune(registry.get(n), train, test, 20) for n in ("EKF", "RAREKF", "lowpass", "model")]
-    tuning.write_tuned(found, ["external_push"], [1, 2], [101, 102], tmp_path / "tuned.yaml")
+    tuning.Tuning(("external_push",), (1, 2), (101, 102), {one.name: one for one in found}).write(
+        tmp_path / "tuned.yaml"
+    )
     data = yaml.safe_load((tmp_path / "tuned.yaml").read_text())
     base, _ = load_scenario("external_push")
     used = Scenario.model_validate({**base.model_dump(), "filters": data["filters"]}).estimators()

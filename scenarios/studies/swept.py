@@ -1,0 +1,99 @@
+"""A study's dataset with its statistics."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...models.files import parse
+from .dataset import Dataset
+from .design import Design
+from .rows import versions
+from .statistics import Aggregate, aggregate, summary_rows
+from .study import Study, load_study, shipped_studies
+from .worst import WorstRun, worst_runs
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SHOWN = 6  # aggregates in the `repr`
+
+
+@dataclass(frozen=True)
+class Swept:
+    """A study's dataset with its statistics.
+
+    Attributes:
+      dataset: rows in `dataset.folder`.
+      aggregates: means over seeds with 95 % intervals, a filter at a point of the study each.
+      worst: the run with the largest value of the first metric, of every scenario.
+    """
+
+    dataset: Dataset
+    aggregates: tuple[Aggregate, ...]
+    worst: tuple[WorstRun, ...]
+
+    @property
+    def study(self) -> Study:
+        """The study."""
+        return self.dataset.design.study
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the dataset; `rows` in it is partitioned Parquet."""
+        return self.dataset.folder
+
+    @property
+    def failed(self) -> int:
+        """Number of estimates without metrics."""
+        return sum(one.failed for one in self.aggregates)
+
+    def table(self) -> pd.DataFrame:
+        """Return the content of `summary.csv`, a row per aggregate: mean, low and high end of each metric in its unit, and of
+        its differences to the reference filter on the same runs; NaN if undefined."""
+        import pandas as pd
+
+        return pd.DataFrame(list(summary_rows(list(self.aggregates), self.dataset.design)))
+
+    def __repr__(self) -> str:
+        metric = self.study.metrics[0]
+
+        def line(one: Aggregate) -> str:
+            point = ", ".join([one.scenario, *(f"{k}={v}" for k, v in one.columns.items() if v is not None)])
+            return f"  {point}, {one.filter}: {one.values[metric].mean:.4g}"
+
+        more = len(self.aggregates) - _SHOWN
+        head = f"Swept({self.study.name!r} in {self.folder}, {self.dataset.design.runs} runs; mean {metric}:"
+        lines = [line(one) for one in self.aggregates[:_SHOWN]]
+        return "\n".join([head, *lines, f"  and {more} more)" if more > 0 else ")"])
+
+
+def open_study(source: str | Path | Mapping[str, Any], out: Path, seeds: int | None = None) -> Dataset:
+    """Load a study, and make its dataset or continue it.
+
+    Args:
+      source: name of a shipped study, path of a YAML file, or its content.
+      out: folder of the dataset.
+      seeds: number of seeds, instead of the study's.
+
+    Raises:
+      InputError: a wrong study, or a folder with other content.
+    """
+    if isinstance(source, Mapping):
+        study, folder, place = parse(dict(source), Study, "study"), Path(), ""
+    else:
+        study, folder = load_study(source)
+        shipped = str(source) in shipped_studies()
+        place = str(source) if shipped else Path(os.path.relpath(Path(source).resolve(), out.resolve())).as_posix()
+    if seeds is not None:
+        study = study.with_seeds(seeds)
+    return Dataset.open(out, Design.of(study, folder), versions(), place)
+
+
+def summarise(dataset: Dataset) -> Swept:
+    """Compute the statistics of a dataset, and its worst runs."""
+    found = tuple(aggregate(dataset))
+    return Swept(dataset, found, tuple(worst_runs(dataset, dataset.design.study.metrics[0])))
