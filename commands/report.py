@@ -40,8 +40,8 @@ def command(
     It begins with the result, its confidence and what to do, and ends with its sources. Charts zoom, show values and hide lines.
     It is readable in light and dark mode, on a phone and on paper.
     """
-    from ..views.pages.of_folders import write_page
     from ._console import console
+    from ._pages import write_page
 
     write_page(folders, out)
     if as_json:

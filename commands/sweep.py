@@ -50,9 +50,9 @@ def command(
     from ..scenarios.studies.statistics import summary_rows
     from ..scenarios.studies.sweep import sweep
     from ..scenarios.studies.swept import open_study, summarise
-    from ..views.sweep_files import write_summary
     from ..views.sweep_tables import metric_column, sweep_table
     from ._console import console, progress
+    from ._sweep_files import write_summary
 
     dataset = open_study(study, out, seeds)
     design, asked = dataset.design, dataset.design.study

@@ -6,7 +6,7 @@ from ..models.files import yaml_text
 from ..models.output import output_folder
 from ..scenarios.studies.statistics import write_csv
 from ..scenarios.studies.swept import Swept
-from .sweep_tables import sweep_markdown
+from ..views.sweep_tables import sweep_markdown
 
 
 def write_summary(swept: Swept, figures: bool = True) -> None:
@@ -21,6 +21,6 @@ def write_summary(swept: Swept, figures: bool = True) -> None:
                 text = yaml_text(run.again.model_dump(mode="json", exclude_none=True))
                 (new / "worst" / f"{run.scenario}.yaml").write_text(text, encoding="utf-8")
         if figures:
-            from .sweep_figures import save_sweep_figures
+            from ..views.sweep_figures import save_sweep_figures
 
             save_sweep_figures(found, study, new / "figures")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ...models.errors import InputError
-from ...models.files import write_into_place
+from ..models.errors import InputError
+from ..models.files import write_into_place
 
 HOLDS = "a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact"
 """What a folder may hold."""
@@ -46,7 +46,7 @@ def _page(folders: Sequence[Path]) -> str:
         if not folder.is_dir():
             raise InputError(f"{folder}: expected a folder of {HOLDS}, found none")
     if len(folders) == 2:
-        from .two_diagnoses import read_diagnosis, two_html
+        from ..views.pages.two_diagnoses import read_diagnosis, two_html
 
         return two_html(*(read_diagnosis(folder) for folder in folders))
     if len(folders) != 1:
@@ -55,13 +55,13 @@ def _page(folders: Sequence[Path]) -> str:
     if (folder / "diagnosis.json").is_file():
         return _diagnosis(folder)
     if (folder / "validation.json").is_file():
-        from .validation import read_validation, validation_html
+        from ..views.pages.validation import read_validation, validation_html
 
         return validation_html(read_validation(folder))
     if (folder / "study.json").is_file():
         return _sweep(folder)
     if (folder / "contact.csv").is_file():
-        from .contact import contact_html, read_answer, read_curves
+        from ..views.pages.contact import contact_html, read_answer, read_curves
 
         return contact_html(read_answer(folder / "contact.json"), read_curves(folder / "contact.csv"), folder)
     if (folder / "scenario.yaml").is_file():
@@ -76,7 +76,7 @@ def _page(folders: Sequence[Path]) -> str:
 
 def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
     """Sort the runs of an arm's joints from the base to the tip."""
-    from ...scenarios.arms.arm_scenario import load_any
+    from ..scenarios.arms.arm_scenario import load_any
 
     scenario, _ = load_any(arm)
     order = [joint.name for joint in getattr(scenario, "arm", ())]
@@ -92,18 +92,18 @@ def _diagnosis(folder: Path) -> str:
 
 
 def _runs(folders: list[Path], arm: Path | None = None) -> str:
-    from ...scenarios.run_folder import load_run
-    from .run import runs_html
+    from ..scenarios.run_folder import load_run
+    from ..views.pages.run import runs_html
 
     return runs_html([(load_run(folder), folder) for folder in folders], arm)
 
 
 def _sweep(folder: Path) -> str:
-    from ...models.files import parse
-    from ...scenarios.studies.dataset import read_note
-    from ...scenarios.studies.statistics import read_csv
-    from ...scenarios.studies.study import Study
-    from .sweep import sweep_html
+    from ..models.files import parse
+    from ..scenarios.studies.dataset import read_note
+    from ..scenarios.studies.statistics import read_csv
+    from ..scenarios.studies.study import Study
+    from ..views.pages.sweep import sweep_html
 
     note = read_note(folder / "study.json")
     study = parse(note["study"], Study, str(folder / "study.json"))
@@ -113,7 +113,7 @@ def _sweep(folder: Path) -> str:
 
 def _study_of(note: dict[str, Any], folder: Path) -> str:
     """Return the study of a sweep for a command line from here: a shipped study's name, or a path; empty if unknown."""
-    from ...scenarios.studies.study import shipped_studies
+    from ..scenarios.studies.study import shipped_studies
 
     source = note.get("source") or note["study"]["name"]
     if source in shipped_studies():
