@@ -174,7 +174,7 @@ def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
 def _rotor_unknown(problem: Problem, f: Fit) -> bool:
     """Whether a residual may be of the rotor's motion, which neither an encoder nor a torque sensor shows."""
     shown = any(s.rotor_measured or s.has_torque for s in problem.segments)
-    return not shown and quiet_rms(problem, f) > ANSWER.quiet
+    return not shown and quiet_rms(problem, f) > ANSWER.far
 
 
 def _unseen(problem: Problem, f: Fit) -> float:
