@@ -158,13 +158,14 @@ def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
     best, fitter = found.best, explorer.fitter
     if any(not h.free for h in best.model):  # an unknown effect would take the place of any cause
         return found
+    error = _unseen(problem, best)
     while best.model:
         linear = [without(problem, best, i) for i in range(len(best.model))]
         start = min(linear, key=lambda one: one[1])[0]  # the cause of which the data say least
         less = fitter.fit(start.model, start.theta)
-        if _unseen(problem, less) > _unseen(problem, best):
+        if (fewer := _unseen(problem, less)) > error:
             break
-        best = less
+        best, error = less, fewer
     if best is found.best:
         return found
     _, models = explorer.neighbours(best, explorer.library(best))

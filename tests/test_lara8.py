@@ -185,7 +185,7 @@ def test_diagnosis_alone_finds_what_the_torsion_hides(recording, lara8):
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    strict=True, reason="beside the eccentricity, friction that grows with load and gravity are calibration"
+    strict=True, reason="with the eccentricity, friction that grows with load and gravity are calibration"
 )
 def test_a_whole_sweep_tells_friction_from_gravity(recording, lara8):
     """With a second half, made up after an assumed truth."""
