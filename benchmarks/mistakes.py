@@ -100,7 +100,7 @@ def _all(*several: Spoil) -> Spoil:
 
 def _speed(column: str, factor: float) -> Spoil:
     def spoil(r: Recording, joint: Joint, rng: np.random.Generator) -> Recording:
-        from flexspline.estimator.motion import smooth
+        from flexspline.models.motion import smooth
 
         if column not in r:
             return r

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 
 from ..estimator.conditioning import Conditioned, condition
-from ..estimator.motion import smooth
 from ..models.calibration import Calibration
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
+from ..models.motion import smooth
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS, DRIVING
 from .data.segments import ENOUGH, in_held_out_block

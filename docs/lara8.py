@@ -21,10 +21,10 @@ from benchmarks.balance import extended, fit_current, fit_eccentricity
 from flexspline.diagnosis.answer import Diagnosis
 from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.diagnosis.diagnose import diagnose
-from flexspline.estimator.motion import smooth
 from flexspline.estimator.offline import estimate_recording
 from flexspline.models import laws
 from flexspline.models.joint import Joint, load_joint, shipped
+from flexspline.models.motion import smooth
 from flexspline.models.recording import Measurement, Recording
 from flexspline.views import style
 

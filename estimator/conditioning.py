@@ -24,9 +24,9 @@ from scipy.interpolate import CubicSpline
 
 from ..models.joint import Joint
 from ..models.joint_parts import AnalogSpec, EncoderSpec
+from ..models.motion import CUTOFF, SHARE
 from ..models.recording import Recording
 from ..models.signals import CHANNELS, POSITIONS
-from .motion import CUTOFF, SHARE
 from .passband import highest
 from .stamps import Clock, clock_times, off_motion, read_stamps, stretches
 

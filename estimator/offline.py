@@ -37,6 +37,7 @@ from ..models.files import write_into_place
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
 from ..models.kernels import kernel
+from ..models.motion import CUTOFF
 from ..models.recording import Recording
 from ..models.signals import Signals
 from ..models.tables import ROWS, TableWriter
@@ -48,7 +49,6 @@ from .estimator import Estimator, KnownJoint, interval_of
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
 from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
-from .motion import CUTOFF
 from .payload_model import MEMORY, NOISE, friction_error, slow_friction
 
 WALKS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..models.motion import CUTOFF, candidates, noise_share, smooth, spectrum, windows
 from ..models.recording import Recording
 from ..models.signals import POSITIONS
-from .motion import CUTOFF, smooth
 
 NOISY = 0.02
 """Largest noise share of the acceleration's power."""
@@ -27,12 +27,8 @@ _BEYOND = 2.0  # largest noise over the described noise
 _DESCRIBED_WRONG = 3.0  # largest factor by which a described inertia may be too small
 _AS_GOOD = 1.005  # of the least residual of a regression
 _PLAINLY = 0.8  # residual ratio that shows motion above the noise's limit
-_LEAST, _STEPS = 0.5, 32  # candidate passbands: lowest [Hz], number
 _LOWER = 4.0  # the regression tries passbands down to the noise's limit over this
-_WINDOW = 4.0  # s of a spectrum
-_LONGEST, _SHORTEST, _WINDOWS = 1 << 15, 32, 48  # samples of a window, windows of a long log
 _REGRESSED = 1 << 15  # samples, most
-_ABOVE = (1.5, 4.0)  # times a passband: band in which the noise is measured
 _WIDTH = 0.418  # rms of white noise, twice differentiated, after the smoother: the root of ∫ x⁴/(1+x⁶)² dx
 _FOLDS, _BLOCKS, _BLOCK = 6, 24, 0.5  # folds, blocks at least, s
 _CRAWLING = 0.02  # of the rms speed, within which friction changes its sign
@@ -59,12 +55,12 @@ def highest(
     """
     limit = min(CUTOFF, limit)
     found, loudest = limit, ""
-    tried = np.geomspace(min(_LEAST, limit), limit, _STEPS)
+    tried = candidates(limit)
     for name, floor in floors.items():
-        spectrum = _spectrum(recording, name, parts)
-        if spectrum is None:
+        power = spectrum(recording.time, recording[name], recording.interval, parts)
+        if power is None:
             continue
-        share, shaken, whole = np.array([_noise_share(*spectrum, f) for f in tried]).T
+        share, shaken, whole = np.array([noise_share(*power, f) for f in tried]).T
         held = _held_against(recording, name, p)
         good = share <= NOISY
         if len(floors) == len(POSITIONS):
@@ -99,50 +95,6 @@ def _held_against(recording: Recording, name: str, p: np.void) -> dict[str, floa
     return found
 
 
-def _windows(recording: Recording, name: str, parts: Sequence[slice], size: int, count: int, step: int) -> list[int]:
-    """Return the first samples of windows of a size, every `step` samples; of more than `count`, those with the most
-    travel."""
-    begins = [b for part in parts for b in range(part.start, part.stop - size + 1, step)]
-    if len(begins) > count:
-        x = recording[name]
-        travel = [float(np.ptp(x[b : b + size : max(size // 64, 1)])) for b in begins]
-        begins = sorted(begins[k] for k in np.argsort(travel)[-count:])
-    return begins
-
-
-def _spectrum(recording: Recording, name: str, parts: Sequence[slice]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return frequencies [Hz] and power density of a position [rad²/Hz]; None for a recording that is too short."""
-    interval = recording.interval
-    longest = max((part.stop - part.start for part in parts), default=0)
-    size = min(_LONGEST, max(round(_WINDOW / interval), 2 * _SHORTEST), longest // 3)
-    if size < _SHORTEST:
-        return None
-    begins = _windows(recording, name, parts, size, _WINDOWS, max(size // 2, 1))
-    window = np.hanning(size - 2)
-    total = np.zeros((size - 2) // 2 + 1)
-    for b in begins:
-        t = recording.time[b : b + size]
-        even = np.interp(t[0] + interval * np.arange(size), t, recording[name][b : b + size])
-        total += np.abs(np.fft.rfft(window * np.diff(even, 2))) ** 2
-    frequency = np.fft.rfftfreq(size - 2, interval)
-    gain = (2 * np.sin(np.pi * frequency * interval)) ** 4
-    power = 2 * interval * total / (len(begins) * np.sum(window**2))
-    return frequency[1:], power[1:] / gain[1:]
-
-
-def _noise_share(frequency: np.ndarray, power: np.ndarray, cutoff: float) -> tuple[float, float, float]:
-    """Return, for an acceleration up to a passband [Hz], the noise share of its power, its noise and its rms [rad/s²
-    rms]. Noise above the passband is assumed to be the same below."""
-    above = (frequency > _ABOVE[0] * cutoff) & (frequency < _ABOVE[1] * cutoff)
-    if not above.any():
-        return 1.0, np.inf, np.inf
-    density = float(np.median(power[above]))
-    passed = (2 * np.pi * frequency) ** 4 / (1 + (frequency / cutoff) ** 6) ** 2
-    width = float(frequency[1] - frequency[0])
-    noise, whole = density * float(passed.sum()) * width, float((passed * power).sum()) * width
-    return noise / max(whole, 1e-300), float(np.sqrt(noise)), float(np.sqrt(whole))
-
-
 def _regressed(
     recording: Recording, name: str, y: str, parts: Sequence[slice], tried: np.ndarray, own: float, N: float
 ) -> float:
@@ -155,7 +107,7 @@ def _regressed(
     """
     longest = max(part.stop - part.start for part in parts)
     size = min(longest, _REGRESSED)
-    begins = _windows(recording, name, parts, size, max(_REGRESSED // size, 1), size)
+    begins = windows(recording[name], parts, size, max(_REGRESSED // size, 1), size)
     block_time = min(_BLOCK, float(recording.time[-1] - recording.time[0]) / _BLOCKS)
     left, ratio, load = [], 1.0 if name == "link_position" else 1 / N, recording.load
     for cutoff in tried:

@@ -13,9 +13,9 @@ import numpy as np
 from ..models import dynamics, laws
 from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
+from ..models.motion import BLOCK, smooth
 from ..models.signals import Signals
 from .estimator import KnownJoint
-from .motion import BLOCK, smooth
 
 STEP = 1e-3
 """Grid [s] on which motion is differentiated and friction replayed."""

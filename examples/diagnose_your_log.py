@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 import flexspline as fs
-from flexspline.models.joint import Effect, Estimate
+from flexspline.models.joint_parts import Effect, Estimate
 
 LOG = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("log.csv")
 joint = fs.load_joint("test-joint")

@@ -30,11 +30,12 @@ from .errors import InputError, nearest
 from .joint import shipped
 from .joint_parts import Mounting
 from .mjcf import check_mjcf
+from .motion import CUTOFF, SHARE, candidates, noise_share, smooth, spectrum
 from .parameters import GRAVITY
 
 STILL = 1e-3
 """Range of an angle [rad] within which another joint of the arm is at rest."""
-_WINDOW = 0.1  # s: over which the other joints' motion is smoothed and differentiated
+_FEWEST = 5  # samples that can be differentiated
 _GRAVITY_SLACK = 0.02
 _WEIGHTLESS = 1e-9  # N·m
 
@@ -240,18 +241,16 @@ def _numbers(values: np.ndarray) -> str:
 
 
 def _smooth(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return angle, velocity and acceleration [rad, rad/s, rad/s²] of samples: cubics fitted over `_WINDOW`, on an
-    even grid."""
-    from scipy.signal import savgol_filter
-
-    if len(time) < 2:  # a single sample between gaps
+    """Return angle, velocity and acceleration [rad, rad/s, rad/s²] of samples, in the passband in which the acceleration
+    has the least mean square error: motion that is cut off, and noise."""
+    if len(time) < _FEWEST:  # between gaps
         return angle, np.zeros_like(angle), np.zeros_like(angle)
     step = float(np.median(np.diff(time)))
-    grid = time[0] + step * np.arange(max(round((time[-1] - time[0]) / step), 1) + 1)
-    width = min(2 * round(0.5 * _WINDOW / step) + 1, len(grid) - (len(grid) + 1) % 2)
-    width = max(width, 5)
-    even = np.interp(grid, time, angle)
-    if len(grid) <= width:
-        return angle, np.gradient(angle, time), np.zeros_like(angle)
-    found = [np.interp(time, grid, savgol_filter(even, width, 3, deriv=order, delta=step)) for order in (0, 1, 2)]
-    return found[0], found[1], found[2]
+    tried = candidates(min(CUTOFF, SHARE / step))
+    cutoff = tried[0]
+    if (power := spectrum(time, angle, step, [slice(0, len(time))])) is not None:
+        _, noise, whole = np.array([noise_share(*power, f) for f in tried]).T
+        cutoff = tried[np.argmax(whole**2 - 2 * noise**2)]  # power of the motion that is passed, less that of the noise
+    s = smooth(time, angle[:, None], step, float(cutoff))
+    position, velocity, acceleration = (np.interp(time, s.time, x[:, 0]) for x in (s.value, s.rate, s.acceleration))
+    return position, velocity, acceleration

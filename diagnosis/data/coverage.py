@@ -14,11 +14,11 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from ...estimator.conditioning import Conditioned, condition
-from ...estimator.motion import smooth
 from ...models import causes, dynamics
 from ...models.causes import Cause
 from ...models.dynamics import State
 from ...models.joint import Joint
+from ...models.motion import smooth
 from ...models.recording import Measurement, Recording
 from ...models.signals import POSITIONS, SENSED
 from .segments import DECIMATION, SETTINGS, STEP, undisturbed

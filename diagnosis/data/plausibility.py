@@ -23,9 +23,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ...estimator.motion import smooth
 from ...models.joint import Joint
 from ...models.kernels import kernel
+from ...models.motion import smooth
 from ...models.recording import GAP, Recording
 from ...models.signals import DRIVING, POSITIONS
 

@@ -1,6 +1,6 @@
 """Prepare recordings for the replay: segments of smoothed motion on an even grid, with the readings to explain.
 
-Every channel of a segment goes through the same linear smoother (`estimator.motion`): for a linear joint, computed and measured
+Every channel of a segment goes through the same linear smoother (`models.motion`): for a linear joint, computed and measured
 torques then have no relative smoothing error. Each segment has a *noise replicate*: the same motion and readings with the
 sensors' stated noise drawn and added again. Their difference gives the effect of the motion's noise on a residual.
 
@@ -22,11 +22,11 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from ...estimator.conditioning import Conditioned, between, condition
-from ...estimator.motion import CUTOFF, SHARE, Smooth, passband, smooth
 from ...models import dynamics, laws
 from ...models.joint import Joint
 from ...models.joint_parts import EncoderSpec, Mounting
 from ...models.kernels import kernel
+from ...models.motion import CUTOFF, SHARE, Smooth, passband, smooth
 from ...models.recording import Recording
 
 STEP = 1e-3

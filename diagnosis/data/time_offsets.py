@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...estimator.motion import smooth
 from ...models.joint import Joint
+from ...models.motion import smooth
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
 from .changes import Mistake

@@ -16,11 +16,11 @@ import numpy as np
 
 from ...models import dynamics
 from ...models.kernels import kernel
+from ...models.motion import CUTOFF, smooth
 from ...models.signals import Signals
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from .. import smoothed
 from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior
-from ..motion import CUTOFF, smooth
 from ..payload_model import INTERVAL, MEMORY, SIZE, KnownPayload, Seen, external_torque, forget, noise, prior, update
 from ..sensing import LOWPASS, arm_torque, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter

@@ -14,12 +14,12 @@ import numpy as np
 
 from ...models.chunks import parts
 from ...models.kernels import kernel
+from ...models.motion import BLOCK
 from ...models.signals import Signals
 from ..dynamics_filter import FILTER, OUT, filter_step, write_out
 from ..errors import FilterDiverged
 from ..estimator import Estimator, KnownJoint, Posterior, fields_of, interval_of, part_samples
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
-from ..motion import BLOCK
 from ..smoothed import in_time
 from ..trust import Watch
 from ..tuning_parameters import TuningParameter

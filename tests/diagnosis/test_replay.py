@@ -13,12 +13,12 @@ from flexspline.diagnosis.fit.replay import READ_OUT, residual, residuals, trans
 from flexspline.diagnosis.fit.residual import TIMING, Problem
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.trials.motions import motions, record_motion
-from flexspline.estimator.motion import smooth
 from flexspline.estimator.offline import estimate_recording
 from flexspline.models import causes
 from flexspline.models.characteristics import characteristics
 from flexspline.models.joint import as_joint, load_joint
 from flexspline.models.joint_parts import Effect, Estimate
+from flexspline.models.motion import smooth
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from flexspline.estimator.conditioning import as_logged, coarser, condition, news_of, step_of
-from flexspline.estimator.motion import CUTOFF, smooth
 from flexspline.estimator.stamps import timing_error
 from flexspline.models.joint import load_joint
+from flexspline.models.motion import CUTOFF, smooth
 from flexspline.models.recording import Recording, read_measurement
 
 JOINT = load_joint("test-joint")

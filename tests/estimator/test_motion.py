@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from flexspline.estimator.motion import smooth
+from flexspline.models.motion import smooth
 
 
 @pytest.mark.parametrize("irregular", [False, True])

@@ -137,6 +137,25 @@ def test_noise_of_the_other_joints_encoders_is_smoothed(folder, rng):
     assert np.sqrt(np.mean((got - expected)[20:-20] ** 2)) < 0.1
 
 
+def test_vibration_of_another_joint_is_in_the_load(folder, rng):
+    """A joint that vibrates at 30 Hz, as friction and ripple make it: the load has it, although encoders have noise."""
+    time = np.arange(4000) * 1e-3
+    q, v, a = motion(time, rng)
+    shaken = NAMES.index("elbow")
+    w = 2 * np.pi * 30
+    q[:, shaken] += 1e-3 * np.sin(w * time)
+    v[:, shaken] += 1e-3 * w * np.cos(w * time)
+    a[:, shaken] -= 1e-3 * w**2 * np.sin(w * time)
+    arm = Arm(ArmSpec(model="arm.xml", joint="lift"), folder)
+    noisy = {name: q[:, i] + 2e-6 * rng.standard_normal(4000) for i, name in enumerate(NAMES) if name != "lift"}
+    mounting, load = arm.of(time, q[:, 1], noisy, (slice(0, 4000),))
+    expected = torque_of(folder / "arm.xml", q, v, a, "lift")
+    got = load.inertia * a[:, 1] + mounting.gravity_moment * np.sin(q[:, 1] + mounting.gravity_angle) - load.torque
+    error = float(np.std((got - expected)[100:-100]))
+    print(f"{error:.4f} N·m of {np.std(expected):.2f}")
+    assert error < 0.02 * np.std(expected)
+
+
 # --- in a recording ----------------------------------------------------------------------------------------------
 
 SIDECAR = "format: 1\njoint: test-joint\narm: {model: arm.xml, joint: lift, positions: {elbow: 0.7, pan: 0.2}}\n"

@@ -45,12 +45,14 @@ def test_the_load_of_one_comes_from_the_others_motion(runs, turn):
     for name, run in runs.items():
         r = run.as_recording()
         inside = slice(200, -200)
-        v = run.truth("link_velocity")
-        a = np.convolve(np.gradient(v, run.time), np.hanning(61) / np.hanning(61).sum(), mode="same")
-        Ts = np.convolve(run.truth("joint_torque"), np.hanning(61) / np.hanning(61).sum(), mode="same")
+        a = np.gradient(run.truth("link_velocity"), run.time)
         weight = r.link.gravity_moment * np.sin(run.truth("link_position") + r.link.gravity_angle)
-        with_arm = r.link.inertia * a + weight - r.torque_of_arm
         without = r.link.inertia * a + weight
+        smooth = np.hanning(61) / np.hanning(61).sum()
+        without, arm, Ts = (
+            np.convolve(x, smooth, mode="same") for x in (without, r.torque_of_arm, run.truth("joint_torque"))
+        )
+        with_arm = without - arm
         error, blind = (np.std((x - Ts)[inside]) for x in (with_arm, without))
         print(f"{name}: {error:.3f} N·m, without the other's motion {blind:.3f} N·m of {np.std(Ts[inside]):.2f}")
         assert error < 0.06 and blind > 10 * error  # the torque sensor's noise is 0.03 N·m

@@ -9,11 +9,12 @@ quintic, given exactly by position, velocity and acceleration at both ends.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..models.kernels import kernel
+from .kernels import kernel
 
 CUTOFF = 120.0
 """Passband fc of the smoother [Hz], or `SHARE` of the sampling rate if that is less."""
@@ -237,3 +238,63 @@ def smooth(
     grid *= step
     grid += time[0]
     return Smooth(grid, value.T, rate.T, acceleration.T)
+
+
+_LEAST, _STEPS = 0.5, 32  # candidate passbands: lowest [Hz], number
+_WINDOW = 4.0  # s of a spectrum
+_LONGEST, _SHORTEST, _WINDOWS = 1 << 15, 32, 48  # samples of a window, windows of a long log
+_ABOVE = (1.5, 4.0)  # times a passband: band in which the noise is measured
+
+
+def candidates(limit: float) -> np.ndarray:
+    """Return passbands to try, up to a limit [Hz], in ascending order."""
+    return np.geomspace(min(_LEAST, limit), limit, _STEPS)
+
+
+def windows(x: np.ndarray, parts: Sequence[slice], size: int, count: int, step: int) -> list[int]:
+    """Return the first samples of windows of a size, every `step` samples; of more than `count`, those with the most
+    travel of a position x, shape (n,)."""
+    begins = [b for part in parts for b in range(part.start, part.stop - size + 1, step)]
+    if len(begins) > count:
+        travel = [float(np.ptp(x[b : b + size : max(size // 64, 1)])) for b in begins]
+        begins = sorted(begins[k] for k in np.argsort(travel)[-count:])
+    return begins
+
+
+def spectrum(
+    time: np.ndarray, x: np.ndarray, interval: float, parts: Sequence[slice]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return frequencies [Hz] and power density [rad²/Hz] of a position; None for one that is too short.
+
+    Args:
+      time: shape (n,) [s]; x: shape (n,) [rad]; interval: between samples [s].
+      parts: without gaps.
+    """
+    longest = max((part.stop - part.start for part in parts), default=0)
+    size = min(_LONGEST, max(round(_WINDOW / interval), 2 * _SHORTEST), longest // 3)
+    if size < _SHORTEST:
+        return None
+    begins = windows(x, parts, size, _WINDOWS, max(size // 2, 1))
+    window = np.hanning(size - 2)
+    total = np.zeros((size - 2) // 2 + 1)
+    for b in begins:
+        t = time[b : b + size]
+        even = np.interp(t[0] + interval * np.arange(size), t, x[b : b + size])
+        total += np.abs(np.fft.rfft(window * np.diff(even, 2))) ** 2
+    frequency = np.fft.rfftfreq(size - 2, interval)
+    gain = (2 * np.sin(np.pi * frequency * interval)) ** 4
+    power = 2 * interval * total / (len(begins) * np.sum(window**2))
+    return frequency[1:], power[1:] / gain[1:]
+
+
+def noise_share(frequency: np.ndarray, power: np.ndarray, cutoff: float) -> tuple[float, float, float]:
+    """Return, for an acceleration up to a passband [Hz], the noise share of its power, its noise and its rms [rad/s²
+    rms]. Noise above the passband is assumed to be the same below."""
+    above = (frequency > _ABOVE[0] * cutoff) & (frequency < _ABOVE[1] * cutoff)
+    if not above.any():
+        return 1.0, np.inf, np.inf
+    density = float(np.median(power[above]))
+    passed = (2 * np.pi * frequency) ** 4 / (1 + (frequency / cutoff) ** 6) ** 2
+    width = float(frequency[1] - frequency[0])
+    noise, whole = density * float(passed.sum()) * width, float((passed * power).sum()) * width
+    return noise / max(whole, 1e-300), float(np.sqrt(noise)), float(np.sqrt(whole))
