@@ -12,12 +12,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..models.motion import CUTOFF, candidates, noise_share, smooth, spectrum, windows
+from ..models.motion import CUTOFF, NOISY, candidates, noise_share, smooth, spectrum, windows
 from ..models.recording import Recording
 from ..models.signals import POSITIONS
 
-NOISY = 0.02
-"""Largest noise share of the acceleration's power."""
 KNOWN = 8.0
 """Largest noise of the acceleration as a torque, over the noise of the torque, if it is the described sensor noise:
 fits of two encoders then account for it."""

@@ -30,7 +30,7 @@ from .errors import InputError, nearest
 from .joint import shipped
 from .joint_parts import Mounting
 from .mjcf import check_mjcf
-from .motion import CUTOFF, SHARE, candidates, noise_share, smooth, spectrum
+from .motion import CUTOFF, NOISY, SHARE, candidates, noise_share, smooth, spectrum
 from .parameters import GRAVITY
 
 STILL = 1e-3
@@ -242,15 +242,16 @@ def _numbers(values: np.ndarray) -> str:
 
 def _smooth(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return angle, velocity and acceleration [rad, rad/s, rad/s²] of samples, in the passband in which the acceleration
-    has the least mean square error: motion that is cut off, and noise."""
+    has the least mean square error (motion that is cut off, and noise), of those in which noise is a small share."""
     if len(time) < _FEWEST:  # between gaps
         return angle, np.zeros_like(angle), np.zeros_like(angle)
     step = float(np.median(np.diff(time)))
     tried = candidates(min(CUTOFF, SHARE / step))
     cutoff = tried[0]
     if (power := spectrum(time, angle, step, [slice(0, len(time))])) is not None:
-        _, noise, whole = np.array([noise_share(*power, f) for f in tried]).T
-        cutoff = tried[np.argmax(whole**2 - 2 * noise**2)]  # power of the motion that is passed, less that of the noise
+        share, noise, whole = np.array([noise_share(*power, f) for f in tried]).T
+        # Power of the motion that is passed, less that of the noise.
+        cutoff = tried[np.argmax(np.where(share <= NOISY, whole**2 - 2 * noise**2, -np.inf))]
     s = smooth(time, angle[:, None], step, float(cutoff))
     position, velocity, acceleration = (np.interp(time, s.time, x[:, 0]) for x in (s.value, s.rate, s.acceleration))
     return position, velocity, acceleration

@@ -240,6 +240,8 @@ def smooth(
     return Smooth(grid, value.T, rate.T, acceleration.T)
 
 
+NOISY = 0.02
+"""Largest noise share of the acceleration's power."""
 _LEAST, _STEPS = 0.5, 32  # candidate passbands: lowest [Hz], number
 _WINDOW = 4.0  # s of a spectrum
 _LONGEST, _SHORTEST, _WINDOWS = 1 << 15, 32, 48  # samples of a window, windows of a long log

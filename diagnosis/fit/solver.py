@@ -25,6 +25,7 @@ from .residual import Model, Problem
 HUBER = 3.0  # standard deviations beyond which a residual counts linearly
 TOLERANCE = 0.5  # change of the objective (in χ²) below which a fit ends
 GOOD = 0.7  # share of the expected change of the objective below which derivatives are renewed
+NEARER = 8  # halvings of the way to the description, until the replay follows a start
 FAR = 0.5  # step of a calibration variable [standard deviations] after which they are renewed
 CHORD = 0.1  # change of an effect's coordinates after which its derivatives are renewed
 NOISY = 0.15  # share of noise in the whitened energy from which it is subtracted (errors in variables)
@@ -413,6 +414,11 @@ class Fitter:
         low, high = problem.bounds(model)
         theta = np.clip(theta, low, high)
         residual = problem.residuals([theta], [model])[0]
+        for _ in range(NEARER):  # a linear prediction may be where the joint runs away
+            if all(np.isfinite(r).all() for r in residual):
+                break
+            theta = 0.5 * (theta + np.clip(problem.start(None, model), low, high))
+            residual = problem.residuals([theta], [model])[0]
         if reference is None:
             replicates, rest = replicate_noise(problem, theta, model, residual), None
         else:
