@@ -55,9 +55,11 @@ def command(
     Writes `joint.yaml`, the description with the causes in it, `diagnosis.json`, and a report.
     """
     from ..models.files import json_text
+    from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, output_folder
     from ._console import console, stages
 
+    give_back_large_arrays()
     if seconds is not None and not seconds > 0:
         raise InputError(f"--time {seconds:g}: expected more than 0 s")
     data, described = load_measurement(measurement, joint)
@@ -90,6 +92,7 @@ def command(
             stage("what to measure next", 0.85)
             found = replace(found, plan=plan(data, found))
         stage("writing", 0.95)
+        give_back_free_pages()
         with output_folder(out, "diagnose", whole=True) as folder:
             answer = json_text({"format": 1, **found.to_json()})
             (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")

@@ -22,6 +22,7 @@ from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
 from .answer import Diagnosis
 from .data.segments import ENOUGH, Segment, in_held_out_block
+from .data.stretches import most_telling
 from .extension import calibrated
 from .fit.regions import NormalEquations, region_masks
 
@@ -94,7 +95,11 @@ class Improvement:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement | None:
-    """Error of estimators before and after; None where nothing was measured to hold them against, or nothing was computed."""
+    """Return the error of estimators before and after, over the parts that a diagnosis uses (`most_telling`).
+
+    None where nothing was measured to compare them with, or nothing was computed.
+    """
+    measurement = most_telling(measurement)  # the same recordings and places as in the diagnosis
     quantity = _measured_torque(measurement)
     if quantity is None or diagnosis.problem is None or diagnosis.search is None:
         return None

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,13 @@ class Report:
     improvement: Improvement | None = None
     plan: Plan | None = None
     folder: Path | None = None
+
+    @cached_property
+    def used(self) -> Measurement:
+        """The parts of the measurement that a diagnosis uses; its segments count these recordings."""
+        from ..diagnosis.data.stretches import most_telling
+
+        return most_telling(self.measurement)
 
 
 def verdict_sentence(d: Diagnosis) -> str:

@@ -97,7 +97,7 @@ def overlays(report: Report) -> list[list[Overlay]]:
         if d.logged_as(channel)[0] not in d.residual:
             continue
         row = []
-        for index, recording in enumerate(report.measurement.recordings):
+        for index, recording in enumerate(report.used.recordings):
             pieces = [s for s, segment in enumerate(segments) if segment.recording == index]
             if any(_counts(segments[s], c).any() for s in pieces):
                 row.append(_overlay(report, c, recording.name, pieces))

@@ -11,6 +11,7 @@ import pytest
 
 from flexspline.diagnosis.answer import Diagnosis
 from flexspline.diagnosis.data.segments import SETTINGS, segments
+from flexspline.diagnosis.data.stretches import LONGEST, most_telling
 from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.regions import held_out_regions
 from flexspline.diagnosis.fit.residual import Problem
@@ -111,6 +112,23 @@ def test_nothing_is_gained_without_a_sensor():
     gained = improvement(replace(drawn.measurement, recordings=bare), found)
     assert gained is None
     assert with_improvement(found, gained).to_json()["estimation"] is None
+
+
+def test_a_long_measurement_is_estimated_in_the_parts_of_its_diagnosis():
+    """Of five recordings a diagnosis uses three; these are numbered as in its fit."""
+    drawn, found = diagnosed()
+    (one,) = drawn.measurement.recordings
+    still = {name: np.full(len(x), x[0]) for name, x in one.columns.items()}
+    recordings = tuple(replace(one, name=f"still{i}", columns=still) for i in range(3))
+    long = replace(drawn.measurement, recordings=(*recordings, one, replace(one, name="again")))
+    used = most_telling(long)
+    places = [r.name for r in used.recordings]
+    assert places.index(one.name) < 3
+    problem = Problem(*segments(list(used.recordings), drawn.nominal), drawn.nominal)
+    fit = calibrate(Fitter(problem), iterations=1)
+    gained = improvement(long, replace(found, problem=problem, search=SimpleNamespace(base=fit), final=fit, whole=fit))
+    assert gained is not None and [t.name for t in gained.traces] == places
+    assert sum(len(t.time) for t in gained.traces) < (LONGEST + 6.0) / one.interval
 
 
 def test_nothing_is_gained_where_nothing_was_computed():

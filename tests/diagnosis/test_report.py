@@ -20,7 +20,10 @@ from rerun.chunk import RrdReader
 import flexspline as fs
 from flexspline.diagnosis.answer import Finding
 from flexspline.diagnosis.data.mistakes import Mistake
+from flexspline.diagnosis.data.segments import segments
+from flexspline.diagnosis.data.stretches import most_telling
 from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.improvement import held_out, improvement, with_improvement
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.search.explore import Decision
@@ -402,6 +405,25 @@ def test_measured_curves_end_where_the_measurement_does(report):
         if o.channel == "motor_current":
             assert o.measured[-1] == segments[-1].measured[-1, 0]
         assert np.isfinite(o.measured).sum() == sum(len(s.at) for s in segments)
+
+
+def test_curves_of_a_long_measurement_are_of_the_recordings_that_are_named(report):
+    """Of eleven recordings a diagnosis uses five; their places differ."""
+    (one,) = report.measurement.recordings
+    same = tuple(replace(one, name=f"same{i}") for i in range(10))
+    more = {"joint_torque": one["joint_torque"] + 3.0, "motor_current": one["motor_current"] + 3.0}
+    loaded = replace(one, name="loaded", columns={**one.columns, **more})
+    long = replace(report.measurement, recordings=(*same, loaded))
+    problem = Problem(*segments(list(most_telling(long).recordings), report.joint), report.joint)
+    zeros = [np.zeros((len(segment.at), 3)) for segment in problem.segments]
+    found = replace(report.diagnosis, problem=problem, before=zeros, after=zeros)
+    (row,) = [row for row in overlays(Report(long, report.joint, found)) if row[0].channel == "joint_torque"]
+    assert len(row) < 11 and "loaded" in {o.name for o in row}
+    named = {r.name: r for r in long.recordings}
+    for o in row:
+        there, r = np.isfinite(o.measured), named[o.name]
+        expected = np.interp(o.time, r.time - r.time[0], r["joint_torque"])
+        assert np.median(np.abs(o.measured - expected)[there]) < 0.1, o.name
 
 
 def test_views_show_the_noise_that_the_diagnosis_states(report):

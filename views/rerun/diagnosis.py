@@ -32,9 +32,7 @@ def write_rerun_report(report: Report, path: Path) -> Path:
       InputError: the file cannot be written, or an MJCF that cannot be read.
     """
     shown = overlays(report)
-    parts = [
-        (r, [o for row in shown for o in row if o.name == r.name]) for r in report.measurement.recordings
-    ]  # fmt: skip
+    parts = [(r, [o for row in shown for o in row if o.name == r.name]) for r in report.used.recordings]
     model = shape(report.joint)
     notes = rrb.TextDocumentView(origin="notes", name="Diagnosis")
     tabs = [_panel(r, found, reach(model), notes) for r, found in parts if found]
