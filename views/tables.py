@@ -130,7 +130,8 @@ def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque 
             for k, cell in enumerate(cells)
             if COLUMNS[k] in IN_TERMINAL
         ]
-        shown_name = Text(_folded(marked(name, metrics[scenario])), style=colors.get(name, "dim"))
+        text = marked(name, metrics[scenario]).replace(UNTRUSTED, UNTRUSTED.strip())  # on the name's line
+        shown_name = Text(_folded(text), style=colors.get(name, "dim"))
         table.add_row(shown_name, *shown, end_section=last)
     return table
 

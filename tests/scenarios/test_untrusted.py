@@ -29,7 +29,7 @@ def test_everywhere(flexspline, runaway):
     folder = runaway / "runs" / "link_sweep"
     said = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))["untrusted"]
     assert set(said) == {"RAREKF", "augmented"} and all("times the gear's rated" in why for why in said.values())
-    assert "RAREKF †" in text and "RAREKF is not to be trusted" in text
+    assert "RAREKF†" in text and "RAREKF is not to be trusted" in text
     code, page, err = flexspline("report", folder, "--out", runaway / "page.html")
     assert code == 0, err
     page = (runaway / "page.html").read_text(encoding="utf-8")
