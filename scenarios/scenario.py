@@ -150,7 +150,10 @@ class Scenario(Strict):
     """Forces at the link."""
     sensors: Annotated[
         dict[str, Any] | Literal["realistic"],
-        Field(description="changes to the joint's sensors, or `realistic`: realistic sensors, clock and drive"),
+        Field(
+            description="changes to the joint's sensors, or `realistic`: realistic sensors, clock and drive; with changes to "
+            "these: `{realistic: true, …}`"
+        ),
     ] = {}
     current: Annotated[
         Literal["command", "sensor"],
@@ -178,7 +181,7 @@ class Scenario(Strict):
     @classmethod
     def _realistic(cls, given: Any) -> Any:
         """Set clock and drive for `sensors: realistic`, unless they are stated."""
-        if not isinstance(given, dict) or given.get("sensors") != "realistic":
+        if not isinstance(given, dict) or not _are_realistic(given.get("sensors")):
             return given
         return {"current": "sensor", "jitter": 1e-4, "controller": LAGGING} | given
 
@@ -323,7 +326,7 @@ class Scenario(Strict):
             return self
         own = self.controller
         chosen = joint.controller.changed_by(own)
-        if self.sensors == "realistic" and own == Controller().lagging(own.delay):  # not stated by anyone
+        if self.sensors_are_realistic and own == Controller().lagging(own.delay):  # not stated by anyone
             chosen = joint.controller if joint.controller.delay else joint.controller.lagging(own.delay)
         return self.model_copy(update={"controller": chosen})
 
@@ -331,10 +334,18 @@ class Scenario(Strict):
         """Return the payload of a joint's output; `InputError` for an unknown mounting."""
         return joint.mount(self.mounting or None) if self.link is None else self.link
 
+    @property
+    def sensors_are_realistic(self) -> bool:
+        """Whether `sensors` states realistic ones, with or without changes."""
+        return _are_realistic(self.sensors)
+
     def _with_sensors(self, joint: Joint) -> Joint:
         if not self.sensors:
             return joint
-        changes = realistic(joint) if isinstance(self.sensors, str) else self.sensors
+        changes = {} if isinstance(self.sensors, str) else dict(self.sensors)
+        if self.sensors_are_realistic:
+            changes.pop("realistic", None)
+            changes = _merge(realistic(joint), changes)
         merged = _merge(joint.sensors.model_dump(), changes)
         # A resolution in bits replaces one in counts, and the other way round.
         for name, change in changes.items():
@@ -344,6 +355,10 @@ class Scenario(Strict):
                         merged[name][other] = None
         sensors = parse(merged, Sensors, f"scenario {self.name}: sensors")
         return joint.model_copy(update={"sensors": sensors})
+
+
+def _are_realistic(sensors: Any) -> bool:
+    return sensors == "realistic" or (isinstance(sensors, dict) and sensors.get("realistic") is True)
 
 
 def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -481,6 +496,8 @@ def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:
         raise InputError(f"{where}: expected a key of at most {_DEEPEST} dots, got {len(path)}")
     if path[:1] == ["filters"] and "filters" not in data:
         data["filters"] = list(PAPER)
+    if path[:1] == ["sensors"] and data.get("sensors") == "realistic":
+        data["sensors"] = {"realistic": True}
     place: Any = data
     for part in path:
         if isinstance(place, list):

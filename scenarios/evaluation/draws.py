@@ -53,7 +53,7 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
     ]
     pushes = [_varied_push(d, rng, scenario.duration) for d in scenario.disturbances]
     found: dict[str, Any] = {"trajectory": waypoints, "disturbances": pushes, "seed": seed}
-    if scenario.sensors == "realistic" and scenario.controller == LAGGING:
+    if scenario.sensors_are_realistic and scenario.controller == LAGGING:
         found["controller"] = Controller().lagging(rng.uniform(0.0, LAG))
     return scenario.model_copy(update=found)
 

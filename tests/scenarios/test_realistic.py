@@ -38,6 +38,25 @@ def test_one_line_sets_all_of_it():
         load_scenario("link_sweep", ["sensors=real"])
 
 
+@pytest.mark.parametrize("name", ["test-joint", "csg-14-100-ec45"])
+def test_a_sensor_can_be_changed_as_well(name):
+    """The change, and all that is realistic; a resolution in bits replaces the joint's counts."""
+    (plain, folder), (own, _) = (
+        realistic(f"joint={name}", *more)
+        for more in ((), ("sensors.joint_torque.noise=1", "sensors.motor_encoder.bits=12"))
+    )
+    before, after = (chosen.load_joint(folder)[0].sensors.model_dump() for chosen in (plain, own))
+    assert after["joint_torque"]["noise"] == 1.0 and after["motor_encoder"]["bits"] == 12
+    assert after["motor_encoder"]["counts"] is None
+    for sensor, key in (("joint_torque", "noise"), ("motor_encoder", "bits"), ("motor_encoder", "counts")):
+        del before[sensor][key], after[sensor][key]
+    assert before == after
+    assert (plain.current, plain.jitter, plain.controller) == (own.current, own.jitter, own.controller)
+    assert varied(own, 3).controller == varied(plain, 3).controller != plain.controller
+    with pytest.raises(InputError, match="realistic"):
+        load_scenario("link_sweep", ["sensors={realistic: 3}"])[0].load_joint(folder)
+
+
 def test_estimators_read_the_current_sensor_at_the_time_stamps():
     run = run_scenario(*realistic())
     signals = run.signals
