@@ -557,7 +557,9 @@ def test_samples_at_a_limit_are_left_out(column):
     before, after = (validate(measurement(one), JOINT) for one in (r, spoilt))
     assert [(m.name, m.severe) for m in after.mistakes] == [("clipped", False)]
     left = 1 - len(after.recordings[0].time) / len(r.time)
-    print(f"seed {SEED}: {100 * left:.1f} % left out; {before.residual[column].rms:.4g}, {after.residual[column].rms:.4g}")
+    print(
+        f"seed {SEED}: {100 * left:.1f} % left out; {before.residual[column].rms:.4g}, {after.residual[column].rms:.4g}"
+    )
     assert 0.05 < left < 0.5
     assert after.residual[column].rms == pytest.approx(before.residual[column].rms, rel=0.2)
     with pytest.warns(InputWarning, match="beyond which nothing is read"):
