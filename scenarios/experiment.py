@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,10 +18,11 @@ from ..models import own_sensors
 from ..models.errors import InputError, InputWarning
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
+from ..models.payload import CarriedMass, carrying, load_of
 from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
 from ..sim import plant, sensors
-from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, ClosedLoop, Driven, Simulation
+from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, Change, ClosedLoop, Driven, Simulation
 from .scenario import Scenario
 
 if TYPE_CHECKING:
@@ -83,14 +84,15 @@ class Experiment:
             scenario.tip_force(), next((f.build() for f in scenario.filters if f.name == scenario.feedback), None),
         )  # fmt: skip
 
-    def build(self, record: np.ndarray | None = None) -> mujoco.MjModel:
-        """Build the MuJoCo model of the plant, or of one with other parameters."""
+    def build(self, record: np.ndarray | None = None, payloads: Sequence[CarriedMass] = ()) -> mujoco.MjModel:
+        """Build the MuJoCo model of the plant, or of one with other parameters; `payloads`: that its link carries."""
         return plant.build(
             self.joint,
             self.mounting,
             timestep=self.scenario.timestep,
             record=self.record if record is None else record,
             locked_rotor=self.scenario.locked_rotor,
+            payloads=payloads,
         )
 
     def simulate(
@@ -109,14 +111,23 @@ class Experiment:
         loop = self.closed_loop(seed, record, model)
         loop.advance(len(self.position))
         self.check(loop)
-        return self.with_own_sensors(loop.simulation, seed)
+        return self.completed(loop.simulation, seed)
 
     def closed_loop(
         self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
     ) -> ClosedLoop:
         """Return the closed loop before its first tick; arguments as of `simulate`."""
         record = self.record if record is None else record
-        return ClosedLoop(self.build(record) if model is None else model, (self.driven(seed, record),))
+        model = self.build(record) if model is None else model
+        return ClosedLoop(model, (self.driven(seed, record),), tuple(self._changes(record)))
+
+    def _changes(self, record: np.ndarray) -> Iterator[Change]:
+        """The plant at each tick at which its link picks up or puts down a payload."""
+        payloads, time = self.scenario.payloads, self.scenario.time
+        carried = np.array([one.carried(time) for one in payloads]).reshape(len(payloads), len(time))
+        for tick in np.flatnonzero(np.any(np.diff(carried, axis=1, prepend=False), axis=0)):
+            now = [one for one, on in zip(payloads, carried[:, tick], strict=True) if on]
+            yield Change(int(tick), self.build(record, now), carrying(record, now))
 
     def driven(self, seed: int | None = None, record: np.ndarray | None = None, prefix: str = "") -> Driven:
         """Return drive, sensors and disturbances of the joint for a closed loop.
@@ -172,8 +183,9 @@ class Experiment:
                 "the estimate is no longer a finite number",
             )
 
-    def with_own_sensors(self, simulation: Simulation, seed: int | None = None) -> Simulation:
-        """Add the readings of plugins' sensors; `seed`: as of `simulate`."""
+    def completed(self, simulation: Simulation, seed: int | None = None) -> Simulation:
+        """Add the torque of known payloads and the readings of plugins' sensors; `seed`: as of `simulate`."""
+        simulation = with_known_payloads(simulation, self.scenario, self.scenario.mount(self.known_joint))
         if not own_sensors.names():
             return simulation
         truth = {name: np.ascontiguousarray(simulation.truth[name]) for name in simulation.truth.dtype.names or ()}
@@ -192,6 +204,16 @@ class Experiment:
         return record[0]
 
 
+def with_known_payloads(simulation: Simulation, scenario: Scenario, link: Mounting) -> Simulation:
+    """Add the torque of known payloads to a simulation; `link`: load of the link without them, as the estimators know it."""
+    if not scenario.payloads or not scenario.known_payloads:
+        return simulation
+    time = simulation.time if simulation.stamps is None else simulation.stamps
+    position = np.ascontiguousarray(simulation.readings["link_position"])
+    load = load_of(scenario.payloads, link, time, position, (slice(0, len(time)),))
+    return replace(simulation, carried=load.on(link.inertia))
+
+
 def signals_of(simulation: Simulation) -> Signals:
     """Return the signals that an estimator may read: sensors before the drive acts, and the current command if it is known; at
     their time stamps."""
@@ -203,6 +225,8 @@ def readable(simulation: Simulation) -> dict[str, np.ndarray]:
     columns = {name: simulation.readings[name] for name in _SEEN} | dict(simulation.further)
     if simulation.commanded:
         columns["current_command"] = simulation.command
+    if simulation.carried is not None:
+        columns["arm_torque"] = simulation.carried
     return columns
 
 

@@ -21,7 +21,7 @@ from ..models.joint import Joint
 from ..models.joint_parts import beyond_sentence
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import REFERENCE_TEMPERATURE
-from ..models.recording import Recording
+from ..models.recording import Recording, with_load
 from ..models.signals import Signals
 from ..sim.loop import CONTROL_PERIOD, Simulation
 from ..sim.plant import link_mass
@@ -216,9 +216,10 @@ class Run:
             description=self.scenario.description,
             link=mounting,
             external="measured" if pushed else "none",
+            payloads=tuple(self.scenario.payloads) if self.scenario.known_payloads else (),
         )
         if self.place is None:
-            return recording
+            return with_load(recording, self.joint.numbers["N"].value)
         arm = self.place.arm
         link, load = Arm.of_text(arm.spec, arm.mjcf).of(
             recording.time, self.reading("link_position"), arm.positions, recording.segments
@@ -238,13 +239,16 @@ def _unknown(kind: str, name: str, known: Iterable[str]) -> str:
 
 
 def _late(run: Run) -> Iterator[str]:
-    """Disturbances that start or end after the scenario's end."""
+    """Disturbances and payloads that start or end after the scenario's end."""
     end, disturbances = run.scenario.duration, list(enumerate(run.scenario.disturbances))
     late = [(f"disturbances.{i}", f"{d.start:g}") for i, d in disturbances if d.start >= end]
     if late:
         names, starts = (", ".join(words) for words in zip(*late, strict=True))
         start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
         yield f"{names} {start} at {starts} s, after the end at {end:g} s: {act}"
+    for i, one in enumerate(run.scenario.payloads):
+        if one.start >= end:
+            yield f"payloads.{i} starts at {one.start:g} s, after the end at {end:g} s: it is never carried"
     for i, d in disturbances:
         if d.start < end < d.start + d.duration:
             yield f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"

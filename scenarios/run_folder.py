@@ -22,6 +22,7 @@ from ..models.signals import READINGS, SENSED
 from ..models.tables import read_table, write_table
 from ..sim.loop import CONTROL_PERIOD, TRUTH, Simulation
 from ..sim.sensors import time_stamps
+from .experiment import with_known_payloads
 from .run import Run
 from .scenario import Scenario
 
@@ -109,6 +110,7 @@ def load_run(folder: Path) -> Run:
         time_stamps(time, scenario.jitter, scenario.seed), scenario.current == "command",
         {name: columns[name] for name in own_sensors.names() if name in columns},
     )  # fmt: skip
+    simulation = with_known_payloads(simulation, scenario, scenario.mount(known_joint))
     command, external = (_column(columns, name, folder) for name in ("position_command", "external_torque"))
     return Run(
         scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario, time), command, external,

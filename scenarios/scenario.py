@@ -19,6 +19,7 @@ from ..models.files import M, Strict, find, kind_of, parse, read_yaml, yaml_valu
 from ..models.joint import Joint, load_joint
 from ..models.joint_parts import SYMBOLS, Mounting, Sensors
 from ..models.parameters import REFERENCE_TEMPERATURE
+from ..models.payload import CarriedMass
 from ..models.recording import check_channels
 from ..models.signals import SENSED
 from ..sim.loop import CONTROL_PERIOD
@@ -148,6 +149,10 @@ class Scenario(Strict):
     """Added to the trajectory."""
     disturbances: list[Disturbance] = []
     """Forces at the link."""
+    payloads: list[CarriedMass] = []
+    """Masses that the link picks up and puts down, in addition to its mounting."""
+    known_payloads: bool = True
+    """Whether the estimators and the recording know the payloads."""
     sensors: Annotated[
         dict[str, Any] | Literal["realistic"],
         Field(description="changes to the joint's sensors, or `realistic`: realistic sensors, clock and drive"),
@@ -232,6 +237,11 @@ class Scenario(Strict):
                 f"feedback: expected a filter that can run in the loop, got {self.feedback!r}, which looks ahead"
             )
 
+        if self.payloads and self.known_payloads and self.feedback in names:
+            raise ValueError(
+                f"known_payloads: expected false, as the filter that is fed back, {self.feedback}, does not know them in the loop"
+            )
+
     @property
     def ticks(self) -> int:
         """Number of control ticks."""
@@ -283,7 +293,8 @@ class Scenario(Strict):
     def lever(self) -> float | None:
         """Common lever [m] of all forces, if the wrench is recorded to compare with; None otherwise."""
         levers = {d.lever for d in self.disturbances}
-        return levers.pop() or None if "force_x" in self.record and len(levers) == 1 else None
+        compared = "force_x" in self.record and len(levers) == 1 and not self.payloads
+        return levers.pop() or None if compared else None
 
     def estimators(self) -> dict[str, Estimator]:
         """Return its filters by name."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import mujoco
@@ -24,7 +25,7 @@ from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
 from .drive import control
-from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, state_of
+from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, put_record, state_of
 from .sensors import distort, low_pass, sample
 
 CONTROL_PERIOD = 0.001
@@ -75,6 +76,7 @@ class Simulation:
       stamps: shape (n,), time stamps of the readings [s]; `time` for an exact clock.
       commanded: whether estimators may read the current command; otherwise they use the current sensor.
       further: readings of sensors of plugins (`models.own_sensors`), shape (n,) each.
+      carried: torque of known payloads on the link, shape (n,) [N·m] (`models.arm.Load.on`); None without.
     """
 
     time: np.ndarray
@@ -85,6 +87,7 @@ class Simulation:
     stamps: np.ndarray | None = None
     commanded: bool = True
     further: Mapping[str, np.ndarray] = field(default_factory=dict)
+    carried: np.ndarray | None = None
 
 
 SENSOR_FEEDBACK = "sensor"
@@ -126,6 +129,21 @@ class Driven:
     prefix: str = ""
 
 
+@dataclass(frozen=True)
+class Change:
+    """Another plant from a tick on: the link of the only joint picks up or puts down a payload.
+
+    Attributes:
+      tick: the first one.
+      model: differs from the one before in numbers only.
+      record: its joint's parameter record, shape (1,).
+    """
+
+    tick: int
+    model: mujoco.MjModel
+    record: np.ndarray
+
+
 class ClosedLoop:
     """Closed loops of a model's joints in progress: any number of ticks at a time, with the same results to the bit.
 
@@ -134,13 +152,18 @@ class ClosedLoop:
       done: number of simulated ticks.
     """
 
-    def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven]):
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven], changes: Sequence[Change] = ()):
         """Start at rest at the first commanded positions.
 
         Args:
           model: of `plant.build` or `arm.build`; it is not changed.
           joints: in the model's order, with as many ticks each.
+          changes: of the plant, of a single joint; a change at tick 0 is the plant from the start on.
         """
+        self._changes = {change.tick: change for change in changes}
+        records = [one.record for one in joints]
+        if 0 in self._changes:
+            model, records = self._changes[0].model, [self._changes[0].record]
         substeps, timestep = round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep)
         model = copy.copy(model)
         given = _Given.of(joints, substeps * timestep)
@@ -171,7 +194,7 @@ class ClosedLoop:
         self._constant = (
             native.function_address("mj_step"), model._address, data._address,
             np.concatenate([_addresses(model, one.prefix) for one in joints]), substeps, timestep,
-            np.concatenate([one.record for one in joints]), sensors, controller, estimators, commanded,
+            np.concatenate(records), sensors, controller, estimators, commanded,
             np.zeros(sensors.shape), drive, given.stamps[:, 0].copy(), crosstalk,
         )  # fmt: skip
         self.done, n = 0, given.stamps.shape[1]
@@ -210,9 +233,21 @@ class ClosedLoop:
             return slice(begin, begin)
         end = min(begin + ticks, n)
         with native.quiet(), native.untimed():
-            _loop(self._constant, self._given, self._took, self._failed, begin, end)
+            for first, last in pairwise([begin, *(k for k in sorted(self._changes) if begin < k < end), end]):
+                if first in self._changes and first > 0:
+                    self._change(self._changes[first])
+                _loop(self._constant, self._given, self._took, self._failed, first, last)
+                if self._failed[:, 0].min() < n:
+                    break
         self.done = min(end, int(self._failed[:, 0].min()))
         return slice(begin, self.done)
+
+    def _change(self, change: Change) -> None:
+        """Go on with another model and the same state."""
+        step, _, *others = self._constant
+        self._constant = (step, change.model._address, *others)
+        self._constant[6][:] = change.record
+        put_record(self._alive[1], 0, change.record)
 
 
 class _Given(NamedTuple):

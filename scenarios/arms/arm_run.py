@@ -72,7 +72,7 @@ def run_arm(
     loop.advance(len(alone[0].position))
     for i, e in enumerate(experiments):
         e.check(loop, place=i)
-    done = [e.with_own_sensors(found) for e, found in zip(experiments, loop.simulations, strict=True)]
+    done = [e.completed(found) for e, found in zip(experiments, loop.simulations, strict=True)]
     angles = {name: np.ascontiguousarray(s.readings["link_position"]) for name, s in zip(names, done, strict=True)}
     runs = {}
     for i, (name, e, s) in enumerate(zip(names, experiments, done, strict=True)):
