@@ -42,8 +42,9 @@ class Experiment:
       mounting: payload of the plant.
       record: parameters of the plant, shape (1,).
       known: parameters that the estimators know.
-      position, velocity, external_torque, temperature: commands [rad], [rad/s], torque on the link [N·m], temperature [°C],
-        shape (n,). tip_force: tangential force [N] of the external torque, shape (n,).
+      command, rate: of the drive, in the unit of the scenario's mode, and derivative, shape (n,).
+      external_torque, temperature: torque on the link [N·m], temperature [°C], shape (n,). tip_force: tangential force [N] of the
+        external torque, shape (n,).
       fed_back: the estimator whose torque is fed back, if any.
     """
 
@@ -53,8 +54,8 @@ class Experiment:
     mounting: Mounting
     record: np.ndarray
     known: KnownJoint
-    position: np.ndarray
-    velocity: np.ndarray
+    command: np.ndarray
+    rate: np.ndarray
     external_torque: np.ndarray
     temperature: np.ndarray
     tip_force: np.ndarray
@@ -109,7 +110,7 @@ class Experiment:
           FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
         """
         loop = self.closed_loop(seed, record, model)
-        loop.advance(len(self.position))
+        loop.advance(len(self.command))
         self.check(loop)
         return self.completed(loop.simulation, seed)
 
@@ -143,12 +144,14 @@ class Experiment:
             feedback = self.fed_back.step(self.known, CONTROL_PERIOD)
         return Driven(
             record,
-            self.position,
-            self.velocity,
+            self.command,
+            self.rate,
             self.external_torque,
             sensors.sensor_records(self.joint, float(p["link_delay"]), CONTROL_PERIOD),
-            sensors.noise(self.joint, seed, len(self.position), CONTROL_PERIOD),
-            scenario.controller.record(self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none"),
+            sensors.noise(self.joint, seed, len(self.command), CONTROL_PERIOD),
+            scenario.controller.record(
+                self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none", scenario.mode
+            ),
             feedback,
             self.temperature,
             self.tip_force,
@@ -156,7 +159,13 @@ class Experiment:
             sensors.time_stamps(scenario.time, scenario.jitter, seed),
             scenario.current == "command",
             prefix,
+            self.start,
         )
+
+    @property
+    def start(self) -> float:
+        """Position of the link at the start [rad]."""
+        return float(self.command[0]) if self.scenario.mode == "position" else self.scenario.start or 0.0
 
     def check(self, loop: ClosedLoop, begin: int = 0, place: int = 0) -> None:
         """Check the simulated ticks from `begin` on; `place`: index of the joint in the loop.

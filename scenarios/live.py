@@ -92,7 +92,7 @@ class LiveRun:
             self._whole,
             simulation=_part(self._whole.simulation, part),
             estimates=estimates,
-            position_command=self._whole.position_command[part],
+            command=self._whole.command[part],
             external_torque=self._whole.external_torque[part],
             raw=model,
         )

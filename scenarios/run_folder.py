@@ -111,7 +111,7 @@ def load_run(folder: Path) -> Run:
         {name: columns[name] for name in own_sensors.names() if name in columns},
     )  # fmt: skip
     simulation = with_known_payloads(simulation, scenario, scenario.mount(known_joint))
-    command, external = (_column(columns, name, folder) for name in ("position_command", "external_torque"))
+    command, external = (_column(columns, name, folder) for name in (f"{scenario.mode}_command", "external_torque"))
     return Run(
         scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario, time), command, external,
         raw=_column(columns, "model_torque", folder),
@@ -123,7 +123,7 @@ def signal_columns(run: Run) -> dict[str, np.ndarray]:
     truth, readings = run.simulation.truth, run.simulation.readings
     return {
         "time": run.time,
-        "position_command": run.position_command,
+        f"{run.scenario.mode}_command": run.command,
         "external_torque": run.external_torque,
         "current_command": run.simulation.command,
         **{name: readings[name] for name in SENSED},

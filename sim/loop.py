@@ -100,7 +100,8 @@ class Driven:
 
     Attributes:
       record: the plant's parameter record, shape (1,).
-      position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
+      command, rate: of the drive, in the unit of the controller's mode (`controller.MODES`), and derivative, shape (n,).
+      external_torque: on the link [N·m], shape (n,).
       sensors, noise: of `sim.sensors`.
       controller: `models.controller.CONTROLLER` record, shape (1,).
       feedback: the estimator in the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: no feedback.
@@ -111,11 +112,12 @@ class Driven:
       stamps: time stamps of the readings [s], shape (n,); exact by default.
       commanded: whether estimators may read the current command (`models.step.CompiledStep.reads_command`).
       prefix: of its names in a model of several joints.
+      start: of the link [rad]; the first command by default.
     """
 
     record: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
+    command: np.ndarray
+    rate: np.ndarray
     external_torque: np.ndarray
     sensors: np.ndarray
     noise: np.ndarray
@@ -127,6 +129,7 @@ class Driven:
     stamps: np.ndarray | None = None
     commanded: bool = True
     prefix: str = ""
+    start: float | None = None
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,7 @@ class ClosedLoop:
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven], changes: Sequence[Change] = ()):
-        """Start at rest at the first commanded positions.
+        """Start at rest.
 
         Args:
           model: of `plant.build` or `arm.build`; it is not changed.
@@ -170,7 +173,7 @@ class ClosedLoop:
         data = mujoco.MjData(model)
         for one, temperature in zip(joints, given.temperature, strict=True):
             plant.memory(model, data, one.prefix)[TEMPERATURE] = temperature[0]
-        start = np.array([one.position[0] for one in joints])
+        start = np.array([one.command[0] if one.start is None else one.start for one in joints])
         gear = np.array([one.record[0]["N"] for one in joints])
         plant.start(model, data, np.stack([start * gear, start * gear, start], axis=1))
         steps = [
@@ -253,8 +256,8 @@ class ClosedLoop:
 class _Given(NamedTuple):
     """Inputs of joints, by joint and tick, shape (joints, n), as in `Driven`; noise shape (joints, n, channels)."""
 
-    position: np.ndarray
-    velocity: np.ndarray
+    command: np.ndarray
+    rate: np.ndarray
     external: np.ndarray
     temperature: np.ndarray
     noise: np.ndarray
@@ -264,7 +267,7 @@ class _Given(NamedTuple):
     @classmethod
     def of(cls, joints: Sequence[Driven], step: float) -> _Given:
         """Collect the inputs; `step`: between ticks [s]."""
-        n = len(joints[0].position)
+        n = len(joints[0].command)
         many, time = (len(joints), n), np.arange(n) * step
         temperature, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
         stamps = np.tile(time, (len(joints), 1))
@@ -274,7 +277,7 @@ class _Given(NamedTuple):
                 if given is not None:
                     array[i] = given
         return cls(
-            np.stack([one.position for one in joints]), np.stack([one.velocity for one in joints]), external, temperature,
+            np.stack([one.command for one in joints]), np.stack([one.rate for one in joints]), external, temperature,
             _as_floats(np.stack([np.ascontiguousarray(one.noise) for one in joints])), tip_force, stamps,
         )  # fmt: skip
 
@@ -340,7 +343,7 @@ def _loop(constant, drives, took, failed, begin, end):
         step, model, data, addresses, substeps, h, record, sensors, controller, estimators, commanded, raw, drive, began,
         crosstalk,
     ) = constant  # fmt: skip
-    position, velocity, external, temperature, noise_of, tip_force, stamps = drives
+    asked, rate, external, temperature, noise_of, tip_force, stamps = drives
     truth, readings, reading_of, command, seen = took
     at = addresses[0]
     act = floats_at(word_at(data + 8 * at.act))
@@ -351,7 +354,7 @@ def _loop(constant, drives, took, failed, begin, end):
     memory = floats_at(word_at(data + 8 * at.plugin_state))
     disabled = ints_at(model + 4 * at.disableflags)
 
-    joints = len(position)
+    joints = len(asked)
     channels = sensors.shape[1]
     dt = substeps * h
     ideal = np.zeros(1, READINGS)
@@ -411,9 +414,8 @@ def _loop(constant, drives, took, failed, begin, end):
                     return
                 estimate = floats_at(out_at)[0]
             command[j, k] = control(
-                position[j, k], velocity[j, k], readings[j, k].motor_position, estimate, drive[j], dt,
-                controller[j],
-            )  # fmt: skip
+                asked[j, k], rate[j, k], readings[j, k].motor_position, estimate, drive[j], dt, controller[j]
+            )
 
             # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
             ctrl[motor[j]] = _input(command, j, first, delay[j], substeps, Kt[j])

@@ -252,7 +252,8 @@ def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:
         error.line(time, values, f"{kinds[name]} thin")
     angle = np.degrees(run.truth("link_position"))
     position = Chart(x, limits(angle, 0.0), "link angle", ylabel="°", width=_WIDTH, height=150)
-    position.line(time, np.degrees(run.position_command), "measured thin")
+    if run.position_command is not None:
+        position.line(time, np.degrees(run.position_command), "measured thin")
     position.line(time, angle, "after")
     current = run.reading("motor_current")
     drive = Chart(x, limits(current, 0.1), "motor current", "", "A", width=_WIDTH, height=130)
