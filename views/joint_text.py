@@ -31,8 +31,8 @@ def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str
     return Group(
         first, Text("\n".join(textwrap.wrap(" ".join(joint.description.split()), WIDTH)), style="dim"), "",
         _stiffness(c, number["rated_torque"]), Text(_hysteresis(c)), "", _efficiency(c, number["rated_torque"]), "",
-        _resonances(c, number["rated_torque"]), Text("\n".join(_encoders(c))), "", Text("Causes that a diagnosis can detect", style="bold"),
-        *(_causes(seen)),
+        _resonances(c, number["rated_torque"]), Text("\n".join(_encoders(c))), "",
+        Text("Causes that a diagnosis can detect", style="bold"), *(_causes(seen)),
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from ...estimator.estimator import KnownJoint
 from ...models import plugins
 from ...models.parameters import as_floats
+from ...models.recording import Measurement
 from ..numbers import number
 from ..report import listed
 from ..style import FILTERS
@@ -21,6 +22,7 @@ from ..tables import COLUMNS, RAW_MODEL, doubts, marked, misjudged
 from .chart import Chart, limits
 from .provenance import fingerprint
 from .rendering import render
+from .response_charts import response_context
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -223,7 +225,15 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
         ],
         "motion": [("after", "true"), ("measured", "measured"), ("backward", "external")],
         "charts": _charts(run, kinds),
+        "response": _response(run),
     }
+
+
+def _response(run: Run) -> dict[str, Any] | None:
+    from ...diagnosis.bode import excited_response
+
+    measurement = Measurement(run.name, Path(run.name), (run.as_recording(),))
+    return response_context(excited_response(measurement, run.known_joint))
 
 
 def _span(run: Run) -> str:
