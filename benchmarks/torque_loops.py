@@ -249,6 +249,6 @@ def _error(free: Experiment, record: np.ndarray, controller: Controller, seed: i
     found = _run(free, record, controller, seed)
     if found is None:
         return math.nan
-    u = wanted(controller, free.position, free.velocity, found.readings["motor_position"], free.known.p, CONTROL_PERIOD)
+    u = wanted(controller, free.command, free.rate, found.readings["motor_position"], free.known.p, CONTROL_PERIOD)
     kept = found.time >= free.scenario.transient
     return float(np.sqrt(np.mean((found.truth["joint_torque"] - u)[kept] ** 2)))
