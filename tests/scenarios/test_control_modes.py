@@ -11,6 +11,8 @@ import flexspline as fs
 from flexspline.models.errors import InputError
 from flexspline.models.files import parse
 from flexspline.models.joint import load_joint
+from flexspline.scenarios.arms.arm_run import run_arm
+from flexspline.scenarios.arms.arm_scenario import ArmScenario
 from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.run_folder import load_run, save_run
@@ -119,3 +121,23 @@ def test_a_wrong_command_is_one_line(changes, message):
     with pytest.raises(InputError, match=message) as error:
         scenario(**changes)
     assert "\n" not in str(error.value)
+
+
+def arm(elbow):
+    """An arm whose shoulder holds its position, and its elbow."""
+    shoulder = {"name": "shoulder", "mounting": "link", "trajectory": [{"time": 0, "position": 0.3}]}
+    joints = [shoulder, {"name": "elbow", "link": {"inertia": 0.1, "gravity_moment": 2.0}} | elbow]
+    return parse({"name": "two", "duration": 4, "arm": joints}, ArmScenario, "here")
+
+
+def test_a_joint_of_an_arm_is_velocity_controlled():
+    way = [{"time": 0.2, "velocity": 0.0}, {"time": 1.0, "velocity": 0.5}]
+    runs = run_arm(arm({"trajectory": way, "start": -0.7, "filters": ["current"]}))
+    assert runs["elbow"].truth("link_position")[0] == pytest.approx(-0.7, abs=1e-3)
+    assert runs["elbow"].truth("link_velocity")[2000:].mean() == pytest.approx(0.5, rel=5e-3)
+    assert np.abs(runs["shoulder"].command_error).max() < 0.02
+
+
+def test_a_joint_of_an_arm_has_no_payloads():
+    with pytest.raises(InputError, match=r"arm\.1: payloads: expected none on a joint of an arm"):
+        arm({"trajectory": [{"time": 0, "position": 0}], "payloads": [{"start": 1, "mass": 1, "distance": 0.1}]})
