@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from ...models.command_lines import mending
 from ...models.errors import InputError, InputWarning
 from ...models.joint import Joint
-from ...models.recording import GAP, Measurement, Recording, check_channels, with_arm_load
+from ...models.recording import GAP, Measurement, Recording, check_channels, with_load
 from ...models.signals import DRIVING, POSITIONS
 from .changes import GRAVITY, NO_CHANGE, Mistake, Table, expected_sign, shrinkage, side, undone
 from .plausibility import SETTINGS as AGREEMENT
@@ -542,8 +542,8 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
     found = replace(recording, time=time, columns=columns)
     found = found.at(~lost) if lost.any() else found
     moved = {c for m in mistakes for c in (m.column or "link_position", *m.also)} & {*POSITIONS, "time"}
-    # The arm's load depends on the link's motion.
-    return with_arm_load(found, N) if moved and recording.arm is not None else found
+    # The load of an arm or a payload depends on the link's motion.
+    return with_load(found, N) if moved else found
 
 
 def _unwrapped(m: Mistake, time: np.ndarray, columns: dict[str, np.ndarray], rows: np.ndarray, N: float) -> np.ndarray:
