@@ -25,7 +25,7 @@ _STEP = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_ssize_t] * 5)
 
 def _python_loop(experiment: Experiment) -> None:
     scenario, record = experiment.scenario, experiment.record
-    p, n = record[0], len(experiment.position)
+    p, n = record[0], len(experiment.command)
     model = experiment.build()
     data = mujoco.MjData(model)
     plant.start(model, data)
@@ -47,7 +47,7 @@ def _python_loop(experiment: Experiment) -> None:
         for s, name in enumerate(("motor_position", "link_position")):
             sample[name] = sensors.sample(seen[s], i, CONTROL_PERIOD, noise[name], kinds[s])
         step(*addresses)
-        position, velocity = experiment.position[i], experiment.velocity[i]
+        position, velocity = experiment.command[i], experiment.rate[i]
         command = control(position, velocity, sample["motor_position"], out[0], drive, CONTROL_PERIOD, controller)
         data.ctrl[0] = p["Kt"] * command
         mujoco.mj_step(model, data, nstep=substeps)

@@ -82,7 +82,7 @@ def draw_of(
     time = simulation.time
     return DrawnExperiment(
         seed, known, record, signals_of(simulation), np.ascontiguousarray(simulation.truth["joint_torque"]),
-        experiment.external_torque, np.abs(experiment.velocity) > MOVING, time >= experiment.scenario.transient,
+        experiment.external_torque, np.abs(experiment.rate) > MOVING, time >= experiment.scenario.transient,
     )  # fmt: skip
 
 

@@ -200,7 +200,7 @@ def _commanded(experiment: Experiment, position: np.ndarray) -> Experiment:
     )
     still = np.zeros(len(position))
     return replace(
-        experiment, scenario=scenario, position=position, velocity=still, external_torque=still, tip_force=still,
+        experiment, scenario=scenario, command=position, rate=still, external_torque=still, tip_force=still,
         temperature=np.full(len(position), experiment.temperature[0]),
     )  # fmt: skip
 
@@ -223,8 +223,8 @@ def _bandwidth(bench: Experiment, record: np.ndarray, controller: Controller, lo
         return math.nan
     u = wanted(
         controller,
-        experiment.position,
-        experiment.velocity,
+        experiment.command,
+        experiment.rate,
         found.readings["motor_position"],
         experiment.known.p,
         CONTROL_PERIOD,
@@ -249,6 +249,6 @@ def _error(free: Experiment, record: np.ndarray, controller: Controller, seed: i
     found = _run(free, record, controller, seed)
     if found is None:
         return math.nan
-    u = wanted(controller, free.position, free.velocity, found.readings["motor_position"], free.known.p, CONTROL_PERIOD)
+    u = wanted(controller, free.command, free.rate, found.readings["motor_position"], free.known.p, CONTROL_PERIOD)
     kept = found.time >= free.scenario.transient
     return float(np.sqrt(np.mean((found.truth["joint_torque"] - u)[kept] ** 2)))

@@ -68,7 +68,7 @@ def command(
     maker = made_from("estimate", measurement)
     written = [f"{recording.name}{suffix}" for recording in data.recordings for suffix in (".parquet", ".csv", ".yaml")]
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
-    unread = require_sound(data, described)
+    data, unread = require_sound(data, described)
     give_back_free_pages()
     _check_samples(measurement, data)
     for recording in data.recordings:

@@ -26,6 +26,7 @@ from .fit.replay import readings
 _WINDOW = 4.0  # s: of a spectrum, or a quarter of the longest segment
 _BAND = 2 ** (1 / 12)  # between frequencies
 _COHERENT = 0.5  # least coherence of a resonance
+_EXCITED = 0.25  # least share of coherent frequencies
 _PROMINENT = 0.35  # of a peak in ln |H|: 3 dB
 
 
@@ -46,6 +47,11 @@ class Response:
     coherence: np.ndarray
     reference: bool
 
+    @property
+    def coherent(self) -> np.ndarray:
+        """Whether current and velocity are coherent with the reference, shape (m,)."""
+        return self.coherence > _COHERENT
+
     def resonances(self, simulated: bool = False) -> tuple[list[float], list[float]]:
         """Frequencies [Hz] of peaks and of dips, where current and velocity are coherent."""
         size = np.log(np.abs(self.simulated if simulated else self.measured))
@@ -61,13 +67,22 @@ class Response:
         for name, simulated in (("measured", False), ("simulated", True)):
             peaks, dips = self.resonances(simulated)
             of[name] = {"resonances": peaks, "antiresonances": dips}
-        good = self.coherence > _COHERENT
+        good = self.coherent
         ratio = np.abs(self.simulated / self.measured)[good]
         share = float(np.sqrt(np.mean(np.log(ratio) ** 2))) if np.any(good) else None
         return of | {
             "coherent_share": float(np.mean(good)), "rms_log_ratio": share, "to": float(self.frequency[-1]),
             "reference": "position_command" if self.reference else "motor_current", "unit": "rad/(s·A)",
         }  # fmt: skip
+
+
+def excited_response(measurement: Measurement, joint: Joint) -> Response | None:
+    """Return the response (`response`) if a quarter of its frequencies is coherent; else None."""
+    try:
+        found = response(measurement, joint)
+    except InputError:
+        return None
+    return found if np.mean(found.coherent) >= _EXCITED else None
 
 
 def response(measurement: Measurement, joint: Joint) -> Response:
@@ -112,8 +127,9 @@ def response(measurement: Measurement, joint: Joint) -> Response:
     f = np.array([np.mean(frequency[band]) for band in bands])
     t = {name: np.array([np.mean(spectrum[band]) for band in bands]) for name, spectrum in total.items()}
     omega = 2j * np.pi * f
-    coherence = [np.abs(t[f"r{x}"]) ** 2 / np.real(t["rr"] * t[x + x]) for x in ("i", "q")]
-    return Response(f, omega * t["rq"] / t["ri"], omega * t["rm"] / t["rs"], np.minimum(*coherence), reference)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a reference at rest
+        coherence = [np.nan_to_num(np.abs(t[f"r{x}"]) ** 2 / np.real(t["rr"] * t[x + x])) for x in ("i", "q")]
+        return Response(f, omega * t["rq"] / t["ri"], omega * t["rm"] / t["rs"], np.minimum(*coherence), reference)
 
 
 def _current(segment: Segment, recording: Any, joint: Joint) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..models.recording import Measurement
 from .answer import Diagnosis
 from .conclusion import ANSWER, Conclusion
 from .data import coverage
-from .data.mistakes import find_mistakes
+from .data.mistakes import find_mistakes, unclipped
 from .data.segments import pushed, segments
 from .data.stretches import most_telling
 from .extension import extended
@@ -65,7 +65,7 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     mistakes = find_mistakes(measurement, joint)
     if any(m.severe for m in mistakes):
         return invalid_data(joint, mistakes)
-    measurement = most_telling(measurement)
+    measurement = most_telling(unclipped(measurement, joint, mistakes))
     joint = as_logged(joint, measurement.recordings)
     conditioned = [condition(r, joint) for r in measurement.recordings]
     problem = Problem(*segments(conditioned, joint), joint)

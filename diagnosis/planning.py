@@ -590,8 +590,8 @@ def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) ->
     def add(name: str, text: str, points: Sequence[Waypoint], mounting: Mounting = link, **options: Any) -> None:
         options.setdefault("channels", seen)
         if not mounting.locked:
-            points = [w.model_copy(update={"position": w.position + centre}) for w in points]
-            if any(not low - _FREE <= w.position <= high + _FREE for w in points):
+            points = [w.model_copy(update={"position": w.command + centre}) for w in points]
+            if any(not low - _FREE <= w.command <= high + _FREE for w in points):
                 text += f"; the measurement covers {_angle(low)} … {_angle(high)} rad: check for collisions beyond"
         found.append(PlannedExperiment(name, text, mounting, tuple(points), interval=interval, **options))
 
@@ -697,7 +697,7 @@ def _reversals(centres: Sequence[float], width: float, speed: float) -> list[Way
         points.append(Waypoint(time=t, position=centre))
         for part in (0.5, -0.5, 0.5, -0.5, 0.0):
             target = centre + part * width
-            t += max(abs(target - points[-1].position) / speed, 0.2)
+            t += max(abs(target - points[-1].command) / speed, 0.2)
             points.append(Waypoint(time=t, position=target, profile="linear"))
     return [*points, Waypoint(time=t + 2.5, position=0.0)]
 

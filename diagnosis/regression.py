@@ -92,6 +92,7 @@ class Regression:
       samples: in motion.
       passband: of the smoother [Hz], the lowest of all recordings.
       left_out: shapes that are confounded with others in this motion.
+      moment: that stands for the gravity moment of a recording whose description has none [N·m]: 1 if no recording has one.
     """
 
     channel: str
@@ -103,6 +104,7 @@ class Regression:
     samples: int
     passband: float
     left_out: tuple[str, ...] = ()
+    moment: float = 0.0
 
     @property
     def rows(self) -> list[tuple[str, str, str, str]]:
@@ -130,7 +132,7 @@ class Regression:
 
     def predict(self, recording: Recording, joint: Joint) -> np.ndarray:
         """The channel of a recording at its samples, shape (n,), in `unit`; NaN at the ends of parts without gaps."""
-        shapes = _shapes(condition(recording, joint), joint, self.channel)
+        shapes = _shapes(condition(recording, joint), joint, self.channel, self.moment)
         found = np.full(len(recording.time), np.nan)
         if shapes is not None:
             found[shapes.rows] = sum(c.value * shapes.columns[c.name] for c in self.coefficients)
@@ -192,8 +194,8 @@ class _Shapes:
     reading: np.ndarray
 
 
-def _shapes(conditioned: Conditioned, joint: Joint, channel: str) -> _Shapes | None:
-    """Shapes of a recording; None where no part of it is long enough."""
+def _shapes(conditioned: Conditioned, joint: Joint, channel: str, without: float) -> _Shapes | None:
+    """Shapes of a recording; None where no part of it is long enough. `without`: the gravity moment if none is described."""
     recording, passband = conditioned.recording, conditioned.passband
     p = joint.record(recording.link)[0]
     position = "link_position" if "link_position" in recording else "motor_position"
@@ -220,7 +222,7 @@ def _shapes(conditioned: Conditioned, joint: Joint, channel: str) -> _Shapes | N
     scale = 1.0 / float(p["N"]) if position == "motor_position" else 1.0
     angle, velocity, acceleration = scale * columns[0], scale * columns[-2], scale * columns[-1]
     at = rows.astype(int)
-    moment, turned = float(p["Mg"]) or 1.0, float(p["gravity_angle"])
+    moment, turned = float(p["Mg"]) or without, float(p["gravity_angle"])
     weight = moment * np.sin(angle + turned)
     load = weight * (float(p["Mg"]) > 0.0) + float(p["Jl"]) * acceleration
     found: dict[str, np.ndarray] = {}
@@ -248,7 +250,9 @@ def _shapes(conditioned: Conditioned, joint: Joint, channel: str) -> _Shapes | N
 
 def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> Regression | None:
     having = [(i, c) for i, c in enumerate(conditioned) if channel in c.recording]
-    each = [(i, s) for i, c in having if (s := _shapes(c, joint, channel)) is not None]
+    link = max((c.recording.link for _, c in having), key=lambda mounting: mounting.gravity_moment)
+    moment = 0.0 if link.gravity_moment > 0.0 else 1.0
+    each = [(i, s) for i, c in having if (s := _shapes(c, joint, channel, moment)) is not None]
     if not each:
         return None
     names = [n for n in each[0][1].columns if all(n in s.columns for _, s in each)]
@@ -267,7 +271,6 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
     if _FEWEST * len(kept) <= (~held).sum() and held.mean() > ENOUGH:
         unseen = _rms(raw[held] - X[held][:, kept] @ _least_squares(X[~held][:, kept], y[~held]))
     std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
-    link = having[0][1].recording.link
     alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
     coefficients = tuple(
         _of_joint(names[k], float(b), float(s), channel, joint, link, alone)
@@ -284,6 +287,7 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
         len(y),
         min(c.passband for _, c in having),
         left_out,
+        moment,
     )
 
 
@@ -354,6 +358,7 @@ def _of_joint(
             "gravity": moment * output,
             "Coulomb friction": output / N if driven else 1.0,
             "viscous friction": output / N**2 if driven else 1.0,
+            "link inertia": output * link.inertia,
             "offset": 1.0,
         }.get(name, output)
         number = factor * value
@@ -368,6 +373,7 @@ def _of_joint(
             "kg·m²",
             lambda r: (not (alone and driven)) * r["Jl"] + driven * N * N * (r["Jm"] + r["Jw"]),
         ),
+        "link inertia": ("link_inertia", "kg·m²", lambda r: r["Jl"]),
         "load friction": ("load_dependent_friction", "1", lambda r: r["friction_load"]),
         "offset": ("offset", unit, lambda r: r[offset]),
     }

@@ -34,7 +34,7 @@ from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
-from .data.mistakes import Mistake, find_mistakes
+from .data.mistakes import Mistake, find_mistakes, unclipped
 from .data.segments import CURRENT, LINK, TORQUE, Segment, segments
 from .fit.replay import parallel, readings, transmission
 from .fit.residual import lateness
@@ -204,6 +204,7 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
       InputError: a measurement of which no part without gaps is long enough to be simulated.
     """
     mistakes = find_mistakes(measurement, joint)
+    measurement = unclipped(measurement, joint, mistakes)
     wrong = {column for m in mistakes if m.severe for column in (m.column, *m.also)}
     joint = as_logged(joint, measurement.recordings, wrong)
     recordings = tuple(_simulated(recording, joint) for recording in measurement.recordings)

@@ -307,7 +307,7 @@ def estimate(
     measurement, described = _measured(load_recording(data) if isinstance(data, (str, Path)) else data, joint)
     if len(measurement.recordings) != 1:
         raise InputError(f"data: expected one recording or run, got {len(measurement.recordings)}")
-    require_sound(measurement, described)
+    measurement, _ = require_sound(measurement, described)
     found = estimate_recording(measurement.recordings[0], described, named or None)
     for name in named:
         if name in found.left_out:

@@ -30,12 +30,11 @@ from .errors import InputError, nearest
 from .joint import shipped
 from .joint_parts import Mounting
 from .mjcf import check_mjcf
-from .motion import CUTOFF, NOISY, SHARE, candidates, noise_share, smooth, spectrum
+from .motion import differentiated
 from .parameters import GRAVITY
 
 STILL = 1e-3
 """Range of an angle [rad] within which another joint of the arm is at rest."""
-_FEWEST = 5  # samples that can be differentiated
 _GRAVITY_SLACK = 0.02
 _WEIGHTLESS = 1e-9  # N·m
 
@@ -114,7 +113,7 @@ class Arm:
         v, a = np.zeros_like(q), np.zeros_like(q)
         for name, angle in {self.spec.joint: position, **positions}.items():
             i = self._joint if name == self.spec.joint else self._at(name, "column")
-            q[:, i], v[:, i], a[:, i] = _smooth(time, angle)
+            q[:, i], v[:, i], a[:, i] = differentiated(time, angle)
         q[:, self._joint] = position
         own = a[:, self._joint].copy()
         a[:, self._joint] = 0.0  # τ without inertia times the joint's own acceleration
@@ -238,20 +237,3 @@ def _model_of(path: Path, read: Callable[[], mujoco.MjSpec]) -> mujoco.MjModel:
 
 def _numbers(values: np.ndarray) -> str:
     return " ".join(repr(float(x)) for x in values)
-
-
-def _smooth(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return angle, velocity and acceleration [rad, rad/s, rad/s²] of samples, in the passband in which the acceleration
-    has the least mean square error (motion that is cut off, and noise), of those in which noise is a small share."""
-    if len(time) < _FEWEST:  # between gaps
-        return angle, np.zeros_like(angle), np.zeros_like(angle)
-    step = float(np.median(np.diff(time)))
-    tried = candidates(min(CUTOFF, SHARE / step))
-    cutoff = tried[0]
-    if (power := spectrum(time, angle, step, [slice(0, len(time))])) is not None:
-        share, noise, whole = np.array([noise_share(*power, f) for f in tried]).T
-        # Power of the motion that is passed, less that of the noise.
-        cutoff = tried[np.argmax(np.where(share <= NOISY, whole**2 - 2 * noise**2, -np.inf))]
-    s = smooth(time, angle[:, None], step, float(cutoff))
-    position, velocity, acceleration = (np.interp(time, s.time, x[:, 0]) for x in (s.value, s.rate, s.acceleration))
-    return position, velocity, acceleration

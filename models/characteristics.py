@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import laws
+from . import friction_map, laws
 from .joint import Joint
 from .uncertainty import directions
 
 _POINTS = 121
+_SPEEDS = (0.05, 0.2, 0.6)  # of the no-load speed
 _TEST_DRIVE = (1.38e-5 + 8.1e-6) / 0.0603  # A·s²/rad: (Jm + Jw)/Kt of the test joint, with gains 8 and 0.08
 
 
@@ -47,6 +48,8 @@ class Characteristics:
       counts: torsion of one count [rad], of motor encoder and link encoder; noise: rms of the torsion from both
         [rad]; torque_resolution: the same as torque at the stiffness of `torque` [N·m rms].
       sensor_noise: of the joint torque sensor [N·m rms], zero if not described.
+      efficiency_speed: of the joint [rad/s], shape (3,): 5, 20 and 60 % of the no-load speed; driving, back_driving: efficiency
+        at these speeds over `torque`, shape (3, n); with their standard deviations.
       largest_torque: of the motor at its current limit, without friction [N·m]; no_load_speed: of the joint [rad/s].
     """
 
@@ -67,6 +70,11 @@ class Characteristics:
     noise: float
     torque_resolution: np.ndarray
     sensor_noise: float
+    efficiency_speed: np.ndarray
+    driving: np.ndarray
+    driving_deviation: np.ndarray
+    back_driving: np.ndarray
+    back_driving_deviation: np.ndarray
     largest_torque: float
     no_load_speed: float
 
@@ -104,6 +112,14 @@ def characteristics(joint: Joint) -> Characteristics:
     def width(q: np.void) -> np.ndarray:
         return np.array(half_width(q, rated))
 
+    steps = np.array(_SPEEDS) * no_load / float(p["N"])
+
+    def effective(q: np.void, sign: float) -> np.ndarray:
+        at, load = (x.ravel() for x in np.meshgrid(sign * steps, torque[1:], indexing="ij"))
+        own = [friction_map.friction(w, T, q["reference_temperature"], q) for w, T in zip(at, load, strict=True)]
+        found = friction_map.efficiency(at, load, np.array(own), float(q["N"])).reshape(len(steps), -1)
+        return np.pad(found, ((0, 0), (1, 0)))
+
     wound = torsion(p)
     slope = np.gradient(wound, torque)
     counts = (joint.sensors.motor_encoder.resolution / float(p["N"]), joint.sensors.link_encoder.resolution)
@@ -115,7 +131,8 @@ def characteristics(joint: Joint) -> Characteristics:
         torque, wound, deviation(torsion), 1 / slope, loop_torsion, loop_torque,
         _half_width(loop_torsion, loop_torque), float(deviation(width)), speed, speed / float(p["N"]), friction(p),
         deviation(friction), tuple(_resonances(joint)), counts, noise, noise / slope, joint.sensors.joint_torque.noise,
-        float(p["N"] * p["Kt"] * p["current_limit"]), no_load / float(p["N"]),
+        steps, effective(p, 1.0), deviation(lambda q: effective(q, 1.0)), effective(p, -1.0),
+        deviation(lambda q: effective(q, -1.0)), float(p["N"] * p["Kt"] * p["current_limit"]), no_load / float(p["N"]),
     )  # fmt: skip
 
 

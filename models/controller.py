@@ -1,9 +1,9 @@
-"""The position controller of a joint's drive."""
+"""The controller of a joint's drive: of position, velocity or torque."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -13,14 +13,21 @@ from .files import Strict
 CONTROLLER = np.dtype(
     [
         (name, np.float64)
-        for name in ("kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain", "gravity", "delay")
+        for name in (
+            "kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain", "gravity", "delay", "mode", "feed",
+        )
     ]
-)
-"""The controller as one record for compiled code."""
+)  # fmt: skip
+"""The controller as one record for compiled code; `mode`: index in `MODES`; `feed`: current per commanded torque [A/(N·m)]."""
+
+Mode = Literal["position", "velocity", "torque"]
+"""What the drive is commanded."""
+MODES: dict[Mode, str] = {"position": "rad", "velocity": "rad/s", "torque": "N·m"}
+"""Units of commands, output side."""
 
 
 class Controller(Strict):
-    """Position controller: PD with optional integral on the measured motor angle, and joint torque feedback.
+    """Controller: PD with optional integral on the measured motor angle, and joint torque feedback.
 
     `i = kp·e + kd·e' + ki·∫e dt + torque_feedback·T̂/(N·Kt)`, clipped at the motor's current limit, with e = N·q_d −
     θm. The measured velocity is the difference quotient of the encoder through a first-order low-pass. The integral
@@ -34,6 +41,10 @@ class Controller(Strict):
 
     The joint then has the torque u, with 1/(1 + kT) of the rotor's inertia and the friction. N²·Kt·kp is its
     stiffness [N·m/rad], N²·Kt·kd its damping [N·m·s/rad].
+
+    This is position control. In velocity control `kp·∫e' dt + kd·e'` replaces the terms of e: the integral stops while
+    the current is clipped, so no distance is caught up. In torque control the command replaces them, in N·m: N·Kt·i, or
+    u of the torque loop. There the estimate is fed back through the torque loop only.
     """
 
     kp: Annotated[float, Field(ge=0, description="A/rad, motor side")] = 8.0
@@ -66,7 +77,7 @@ class Controller(Strict):
             update={"kp": share**2 * self.kp, "kd": share * self.kd, "ki": share**3 * self.ki, "delay": delay}
         )
 
-    def record(self, p: np.void, dt: float, feedback: bool) -> np.ndarray:
+    def record(self, p: np.void, dt: float, feedback: bool, mode: Mode = "position") -> np.ndarray:
         """Return the controller for a joint's parameters and a control period [s], as a record, shape (1,)."""
         record = np.zeros(1, CONTROLLER)
         c = record[0]
@@ -75,10 +86,11 @@ class Controller(Strict):
         c["limit"], c["gear"] = p["current_limit"], p["N"]
         c["delay"] = self.delay
         unit = p["N"] * p["Kt"]
-        c["torque_gain"] = self.torque_feedback / unit if feedback else 0.0
+        c["mode"], c["feed"] = list(MODES).index(mode), 1.0 / unit
+        c["torque_gain"] = self.torque_feedback / unit if feedback and mode != "torque" else 0.0
         c["gravity"] = self.gravity * p["Mg"] / unit
         if feedback and self.torque_loop > 0.0:
-            for name in ("kp", "kd", "ki", "gravity"):
+            for name in ("kp", "kd", "ki", "gravity", "feed"):
                 c[name] *= 1.0 + self.torque_loop
             c["torque_gain"] = -self.torque_loop / unit
         return record

@@ -82,13 +82,26 @@ def friction_map(joint: Joint) -> FrictionMap:
 
     values = of(record)
     std = np.sqrt(sum((of(steady(moved)) - values) ** 2 for moved in directions(joint)))
-    torque = load / p["N"]
     back = speed * load < 0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        efficiency = np.where(back, np.maximum((torque + values) / torque, 0.0), torque / (torque + values))
-    efficiency[load == 0] = np.nan
-    columns = dict(zip(COLUMNS, (speed, load, temperature, values, std, efficiency, back.astype(float)), strict=True))
+    effective = efficiency(speed, load, values, float(p["N"]))
+    columns = dict(zip(COLUMNS, (speed, load, temperature, values, std, effective, back.astype(float)), strict=True))
     return FrictionMap(columns, float(np.sqrt(np.mean(std**2) / np.mean(values**2))))
+
+
+def efficiency(speed: np.ndarray, load: np.ndarray, friction: np.ndarray, N: float) -> np.ndarray:
+    """Return the efficiency [1], of driving where speed and load have one sign, else of back-driving, shape (n,).
+
+    Args:
+      speed, load: at the output [rad/s], [N·m]; friction: at the motor [N·m]; shape (n,) each.
+      N: gear ratio.
+
+    Returns:
+      NaN without load; 0 where the gear does not back-drive.
+    """
+    torque = load / N
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(speed * load < 0, np.maximum((torque + friction) / torque, 0.0), torque / (torque + friction))
+    return np.where(load == 0, np.nan, found)
 
 
 def c_function(joint: Joint, notes: list[str]) -> str:

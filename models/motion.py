@@ -22,6 +22,7 @@ SHARE = 0.25
 """Passband over sampling rate of a slow log: half of the Nyquist frequency, for two derivatives."""
 BLOCK = 1 << 15
 """Samples that the smoother keeps in memory at a time."""
+_FEWEST = 5  # samples that can be differentiated
 
 
 @kernel
@@ -300,3 +301,20 @@ def noise_share(frequency: np.ndarray, power: np.ndarray, cutoff: float) -> tupl
     width = float(frequency[1] - frequency[0])
     noise, whole = density * float(passed.sum()) * width, float((passed * power).sum()) * width
     return noise / max(whole, 1e-300), float(np.sqrt(noise)), float(np.sqrt(whole))
+
+
+def differentiated(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return angle, velocity and acceleration [rad, rad/s, rad/s²] of samples, in the passband in which the acceleration
+    has the least mean square error (motion that is cut off, and noise), of those in which noise is a small share."""
+    if len(time) < _FEWEST:  # between gaps
+        return angle, np.zeros_like(angle), np.zeros_like(angle)
+    step = float(np.median(np.diff(time)))
+    tried = candidates(min(CUTOFF, SHARE / step))
+    cutoff = tried[0]
+    if (power := spectrum(time, angle, step, [slice(0, len(time))])) is not None:
+        share, noise, whole = np.array([noise_share(*power, f) for f in tried]).T
+        # Power of the motion that is passed, less that of the noise.
+        cutoff = tried[np.argmax(np.where(share <= NOISY, whole**2 - 2 * noise**2, -np.inf))]
+    s = smooth(time, angle[:, None], step, float(cutoff))
+    position, velocity, acceleration = (np.interp(time, s.time, x[:, 0]) for x in (s.value, s.rate, s.acceleration))
+    return position, velocity, acceleration

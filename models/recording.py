@@ -30,6 +30,7 @@ from .joint_parts import Mounting
 from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel
+from .payload import CarriedMass, load_of
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .tables import reading_parquet, write_table
 from .text_tables import TextTable
@@ -67,6 +68,8 @@ class Sidecar(Strict):
     """Load on the output; alternative to `arm`."""
     arm: ArmSpec | None = None
     """Arm of the joint; alternative to `link`."""
+    payloads: tuple[CarriedMass, ...] = ()
+    """Masses that the link picks up and puts down, in addition to `link`; their times are the table's."""
     external_torque: External = "none"
     """Whether the link was pushed, and whether that was measured."""
     fixed: tuple[str, ...] = ()
@@ -76,6 +79,8 @@ class Sidecar(Strict):
     def _one_load(self) -> Sidecar:
         if (self.link is None) == (self.arm is None):
             raise ValueError(f"expected either link or arm, got {'none' if self.link is None else 'both'}")
+        if self.arm is not None and self.payloads:
+            raise ValueError("payloads: expected them with link, got arm")
         return self
 
 
@@ -91,8 +96,9 @@ class Recording:
       joint: name of the joint's description, or path to one.
       description: in words.
       link: load on the output; of an arm, with the other joints in the middle of their ranges.
-      arm: the joint's arm, None with `link`; load: of its motion on the link, in addition to `link`, None while the
-        other joints are at rest (`models.arm_dynamics`).
+      arm: the joint's arm, None with `link`; load: of its motion, or of payloads, on the link, in addition to `link`,
+        None while the other joints are at rest (`models.arm_dynamics`) and without payloads.
+      payloads: masses that the link picks up and puts down; their times are those of its table.
       logged: time in its table [s], shape (n,), if `time` has gaps that the table does not show; else None.
       external: whether there was external torque: none, measured (the column) or unmeasured.
       source: its file, for messages.
@@ -115,6 +121,7 @@ class Recording:
     load: Load | None = None
     logged: np.ndarray | None = None
     fixed: tuple[str, ...] = ()
+    payloads: tuple[CarriedMass, ...] = ()
 
     def __post_init__(self) -> None:
         where = self.source or f"recording {self.name!r}"
@@ -369,13 +376,16 @@ def read_recording(path: str | Path) -> Recording:
         external=sidecar.external_torque,
         source=str(path),
         fixed=sidecar.fixed,
+        payloads=sidecar.payloads,
     )
     if sidecar.arm is None:
         if angles:
             raise InputError(
                 f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link"
             )
-        return recording
+        if not recording.payloads:
+            return recording
+        return with_load(recording, load_joint(recording.joint, sidecar_path.parent).numbers["N"].value)
     return in_arm(recording, sidecar.arm, angles, sidecar_path, sidecar_path.parent, sidecar_path.parent)
 
 
@@ -408,9 +418,9 @@ def in_arm(
     return replace(recording, link=link, load=load, arm=ArmRecord(spec, arm.mjcf(), positions))
 
 
-def with_arm_load(recording: Recording, gear_ratio: float) -> Recording:
-    """Return a recording with a changed angle, with mounting and load from its arm at that angle; unchanged without
-    an arm.
+def with_load(recording: Recording, gear_ratio: float) -> Recording:
+    """Return a recording with mounting and load from its arm, or with the load of its payloads, at its angle; unchanged
+    without both.
 
     Args:
       gear_ratio: of its joint.
@@ -420,9 +430,12 @@ def with_arm_load(recording: Recording, gear_ratio: float) -> Recording:
     """
     from .arm_dynamics import Arm
 
-    if recording.arm is None:
+    if recording.arm is None and not recording.payloads:
         return recording
     position = _own_angle(recording, lambda: gear_ratio)
+    if recording.arm is None:
+        payloads, link = recording.payloads, recording.link
+        return replace(recording, load=load_of(payloads, link, recording.stamps, position, recording.segments))
     arm = Arm.of_text(recording.arm.spec, recording.arm.mjcf)
     link, load = arm.of(recording.time, position, recording.arm.positions, recording.segments)
     return replace(recording, link=link, load=load)
@@ -455,10 +468,12 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
         arm=None if arm is None else arm.spec.model_copy(update={"model": f"{recording.name}_arm.xml"}),
         external_torque=recording.external,
         fixed=recording.fixed,
+        payloads=recording.payloads,
     )
     data = sidecar.model_dump(mode="json", exclude_none=True)
-    if not recording.fixed:
-        del data["fixed"]
+    for name in ("fixed", "payloads"):
+        if not data[name]:
+            del data[name]
     if sidecar.link is not None:
         data["link"] = sidecar.link.model_dump(mode="json", exclude_defaults=True)
     if arm is not None and sidecar.arm is not None:

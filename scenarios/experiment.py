@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,10 +18,11 @@ from ..models import own_sensors
 from ..models.errors import InputError, InputWarning
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
+from ..models.payload import CarriedMass, carrying, load_of
 from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
 from ..sim import plant, sensors
-from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, ClosedLoop, Driven, Simulation
+from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, Change, ClosedLoop, Driven, Simulation
 from .scenario import Scenario
 
 if TYPE_CHECKING:
@@ -41,8 +42,9 @@ class Experiment:
       mounting: payload of the plant.
       record: parameters of the plant, shape (1,).
       known: parameters that the estimators know.
-      position, velocity, external_torque, temperature: commands [rad], [rad/s], torque on the link [N·m], temperature [°C],
-        shape (n,). tip_force: tangential force [N] of the external torque, shape (n,).
+      command, rate: of the drive, in the unit of the scenario's mode, and derivative, shape (n,).
+      external_torque, temperature: torque on the link [N·m], temperature [°C], shape (n,). tip_force: tangential force [N] of the
+        external torque, shape (n,).
       fed_back: the estimator whose torque is fed back, if any.
     """
 
@@ -52,8 +54,8 @@ class Experiment:
     mounting: Mounting
     record: np.ndarray
     known: KnownJoint
-    position: np.ndarray
-    velocity: np.ndarray
+    command: np.ndarray
+    rate: np.ndarray
     external_torque: np.ndarray
     temperature: np.ndarray
     tip_force: np.ndarray
@@ -83,14 +85,15 @@ class Experiment:
             scenario.tip_force(), next((f.build() for f in scenario.filters if f.name == scenario.feedback), None),
         )  # fmt: skip
 
-    def build(self, record: np.ndarray | None = None) -> mujoco.MjModel:
-        """Build the MuJoCo model of the plant, or of one with other parameters."""
+    def build(self, record: np.ndarray | None = None, payloads: Sequence[CarriedMass] = ()) -> mujoco.MjModel:
+        """Build the MuJoCo model of the plant, or of one with other parameters; `payloads`: that its link carries."""
         return plant.build(
             self.joint,
             self.mounting,
             timestep=self.scenario.timestep,
             record=self.record if record is None else record,
             locked_rotor=self.scenario.locked_rotor,
+            payloads=payloads,
         )
 
     def simulate(
@@ -107,16 +110,25 @@ class Experiment:
           FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
         """
         loop = self.closed_loop(seed, record, model)
-        loop.advance(len(self.position))
+        loop.advance(len(self.command))
         self.check(loop)
-        return self.with_own_sensors(loop.simulation, seed)
+        return self.completed(loop.simulation, seed)
 
     def closed_loop(
         self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
     ) -> ClosedLoop:
         """Return the closed loop before its first tick; arguments as of `simulate`."""
         record = self.record if record is None else record
-        return ClosedLoop(self.build(record) if model is None else model, (self.driven(seed, record),))
+        model = self.build(record) if model is None else model
+        return ClosedLoop(model, (self.driven(seed, record),), tuple(self._changes(record)))
+
+    def _changes(self, record: np.ndarray) -> Iterator[Change]:
+        """The plant at each tick at which its link picks up or puts down a payload."""
+        payloads, time = self.scenario.payloads, self.scenario.time
+        carried = np.array([one.carried(time) for one in payloads]).reshape(len(payloads), len(time))
+        for tick in np.flatnonzero(np.any(np.diff(carried, axis=1, prepend=False), axis=0)):
+            now = [one for one, on in zip(payloads, carried[:, tick], strict=True) if on]
+            yield Change(int(tick), self.build(record, now), carrying(record, now))
 
     def driven(self, seed: int | None = None, record: np.ndarray | None = None, prefix: str = "") -> Driven:
         """Return drive, sensors and disturbances of the joint for a closed loop.
@@ -132,12 +144,14 @@ class Experiment:
             feedback = self.fed_back.step(self.known, CONTROL_PERIOD)
         return Driven(
             record,
-            self.position,
-            self.velocity,
+            self.command,
+            self.rate,
             self.external_torque,
             sensors.sensor_records(self.joint, float(p["link_delay"]), CONTROL_PERIOD),
-            sensors.noise(self.joint, seed, len(self.position), CONTROL_PERIOD),
-            scenario.controller.record(self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none"),
+            sensors.noise(self.joint, seed, len(self.command), CONTROL_PERIOD),
+            scenario.controller.record(
+                self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none", scenario.mode
+            ),
             feedback,
             self.temperature,
             self.tip_force,
@@ -145,7 +159,13 @@ class Experiment:
             sensors.time_stamps(scenario.time, scenario.jitter, seed),
             scenario.current == "command",
             prefix,
+            self.start,
         )
+
+    @property
+    def start(self) -> float:
+        """Position of the link at the start [rad]."""
+        return float(self.command[0]) if self.scenario.mode == "position" else self.scenario.start or 0.0
 
     def check(self, loop: ClosedLoop, begin: int = 0, place: int = 0) -> None:
         """Check the simulated ticks from `begin` on; `place`: index of the joint in the loop.
@@ -172,8 +192,9 @@ class Experiment:
                 "the estimate is no longer a finite number",
             )
 
-    def with_own_sensors(self, simulation: Simulation, seed: int | None = None) -> Simulation:
-        """Add the readings of plugins' sensors; `seed`: as of `simulate`."""
+    def completed(self, simulation: Simulation, seed: int | None = None) -> Simulation:
+        """Add the torque of known payloads and the readings of plugins' sensors; `seed`: as of `simulate`."""
+        simulation = with_known_payloads(simulation, self.scenario, self.scenario.mount(self.known_joint))
         if not own_sensors.names():
             return simulation
         truth = {name: np.ascontiguousarray(simulation.truth[name]) for name in simulation.truth.dtype.names or ()}
@@ -192,6 +213,16 @@ class Experiment:
         return record[0]
 
 
+def with_known_payloads(simulation: Simulation, scenario: Scenario, link: Mounting) -> Simulation:
+    """Add the torque of known payloads to a simulation; `link`: load of the link without them, as the estimators know it."""
+    if not scenario.payloads or not scenario.known_payloads:
+        return simulation
+    time = simulation.time if simulation.stamps is None else simulation.stamps
+    position = np.ascontiguousarray(simulation.readings["link_position"])
+    load = load_of(scenario.payloads, link, time, position, (slice(0, len(time)),))
+    return replace(simulation, carried=load.on(link.inertia))
+
+
 def signals_of(simulation: Simulation) -> Signals:
     """Return the signals that an estimator may read: sensors before the drive acts, and the current command if it is known; at
     their time stamps."""
@@ -203,6 +234,8 @@ def readable(simulation: Simulation) -> dict[str, np.ndarray]:
     columns = {name: simulation.readings[name] for name in _SEEN} | dict(simulation.further)
     if simulation.commanded:
         columns["current_command"] = simulation.command
+    if simulation.carried is not None:
+        columns["arm_torque"] = simulation.carried
     return columns
 
 

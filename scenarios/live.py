@@ -30,6 +30,11 @@ class LiveRun:
         Raises:
           InputError: no filter that can run in stretches.
         """
+        if scenario.payloads and scenario.known_payloads:
+            raise InputError(
+                f"scenario {scenario.name}: known_payloads: expected false while it runs, as estimators need the whole "
+                "motion for their torque"
+            )
         self.scenario = scenario
         self._experiment = Experiment.of(scenario, folder)
         self._loop = self._experiment.closed_loop()
@@ -87,7 +92,7 @@ class LiveRun:
             self._whole,
             simulation=_part(self._whole.simulation, part),
             estimates=estimates,
-            position_command=self._whole.position_command[part],
+            command=self._whole.command[part],
             external_torque=self._whole.external_torque[part],
             raw=model,
         )
@@ -98,7 +103,7 @@ class LiveRun:
         Raises:
           InputError, FilterDiverged: as `run_scenario`.
         """
-        simulation = self._experiment.with_own_sensors(self._loop.simulation)
+        simulation = self._experiment.completed(self._loop.simulation)
         others = {name: one for name, one in self._filters.items() if name not in self._along}
         found = estimate(others, signals_of(simulation), self._experiment.known, threads)
         whole = slice(0, len(simulation.time))

@@ -1,4 +1,4 @@
-"""Motions added to a scenario's waypoints: sine, chirp, multisine, and positions from a file."""
+"""Motions added to a scenario's waypoints: sine, chirp, multisine, and commands from a file."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from ..models.controller import Mode
 from ..models.errors import InputError, first_line
 from ..models.files import Strict
 
@@ -16,7 +17,10 @@ _FADE = 1.0  # s, at most a tenth of the duration: fade in and out of oscillatio
 
 
 class AddedMotion(Strict):
-    """A motion of the link added to the waypoints. Oscillations fade in and out within a tenth of the duration, at most 1 s."""
+    """A motion added to the waypoints, in their unit: rad, rad/s or N·m.
+
+    Oscillations fade in and out within a tenth of the duration, at most 1 s.
+    """
 
     kind: Literal["sine", "chirp", "multisine", "file"]
     """Shape over time. A chirp's frequency grows exponentially; a multisine has phases with a low peak (Schroeder)."""
@@ -25,13 +29,19 @@ class AddedMotion(Strict):
     amplitude: Annotated[
         float,
         Field(
-            gt=0, description="rad: peak of a sine or chirp, RMS times √2 of a multisine, factor of a file's positions"
+            gt=0,
+            description="peak of a sine or chirp, RMS times √2 of a multisine, factor of a file's commands",
         ),
     ] = 1.0
     frequency: Annotated[float | None, Field(gt=0, description="Hz; of chirp and multisine the lowest")] = None
     end_frequency: Annotated[float | None, Field(gt=0, description="Hz, the highest")] = None
     lines: Annotated[int, Field(ge=2, le=2000, description="sines in a multisine, evenly apart in frequency")] = 30
-    file: Annotated[str | None, Field(description="CSV or Parquet with columns `time` [s] and `position` [rad]")] = None
+    file: Annotated[
+        str | None,
+        Field(
+            description="CSV or Parquet with columns `time` [s] and `position`, `velocity` or `torque`, as the waypoints have it"
+        ),
+    ] = None
 
     @model_validator(mode="after")
     def _complete(self) -> AddedMotion:
@@ -53,10 +63,10 @@ class AddedMotion(Strict):
             return self
         return self.model_copy(update={"file": str((folder / self.file).resolve())})
 
-    def signal(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return position [rad] and velocity [rad/s] at times [s], shape (n,) each."""
+    def signal(self, time: np.ndarray, mode: Mode = "position") -> tuple[np.ndarray, np.ndarray]:
+        """Return the command of a mode and its derivative at times [s], shape (n,) each."""
         if self.kind == "file":
-            return self._of_file(time)
+            return self._of_file(time, mode)
         assert self.duration is not None and self.frequency is not None
         T, f = self.duration, self.frequency
         t = np.clip(time - self.start, 0.0, T)
@@ -81,20 +91,20 @@ class AddedMotion(Strict):
         slope = 0.5 * np.pi / fade * np.sin(np.pi * u) * np.where(t < 0.5 * T, 1.0, -1.0)
         return self.amplitude * envelope * x, self.amplitude * (slope * x + envelope * dx)
 
-    def _of_file(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _of_file(self, time: np.ndarray, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
         assert self.file is not None
-        at, position, velocity = _read(self.file)
+        at, command, rate = _read(self.file, mode)
         t = time - self.start
         if self.duration is not None:
             t = np.minimum(t, self.duration)
         inside = (t >= at[0]) & (t < min(at[-1], self.duration or np.inf))
-        x, dx = np.interp(t, at, position), np.where(inside, np.interp(t, at, velocity), 0.0)
+        x, dx = np.interp(t, at, command), np.where(inside, np.interp(t, at, rate), 0.0)
         return self.amplitude * x, self.amplitude * dx
 
 
 @lru_cache(maxsize=8)
-def _read(file: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a file's times from its first [s], positions [rad] and velocities [rad/s]."""
+def _read(file: str, mode: Mode) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a file's times from its first [s], commands and their derivatives."""
     import pandas as pd
 
     try:
@@ -102,15 +112,15 @@ def _read(file: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read as a motion: {first_line(error)}") from error
     columns = []
-    for name in ("time", "position"):
+    for name in ("time", mode):
         if name not in table:
             raise InputError(f"{file}: expected a column {name!r}, got {', '.join(map(str, table.columns))}")
         values = pd.to_numeric(table[name], errors="coerce").to_numpy(float)
         if len(values) < 2 or not np.isfinite(values).all():
             raise InputError(f"{file}: column {name!r}: expected two or more finite numbers, got others")
         columns.append(values)
-    time, position = columns
+    time, command = columns
     if not np.all(np.diff(time) > 0):
         row = int(np.argmax(np.diff(time) <= 0)) + 2
         raise InputError(f"{file}: column 'time': expected increasing times, got {time[row - 1]:g} s in row {row}")
-    return time - time[0], position, np.gradient(position, time)
+    return time - time[0], command, np.gradient(command, time)

@@ -16,12 +16,13 @@ from ..estimator.compliance import compliance
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.arm import ArmRecord
 from ..models.arm_dynamics import Arm
+from ..models.controller import MODES
 from ..models.errors import InputError, nearest
 from ..models.joint import Joint
 from ..models.joint_parts import beyond_sentence
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import REFERENCE_TEMPERATURE
-from ..models.recording import Recording
+from ..models.recording import Recording, with_load
 from ..models.signals import Signals
 from ..sim.loop import CONTROL_PERIOD, Simulation
 from ..sim.plant import link_mass
@@ -63,7 +64,7 @@ class Run:
       known: parameters that the estimators know.
       simulation: truth and readings at the control ticks.
       estimates: results of the scenario's filters, by name.
-      position_command: commanded link position [rad], shape (n,).
+      command: of the drive, in the unit of the scenario's mode (`controller.MODES`), shape (n,).
       external_torque: torque on the link [N·m], shape (n,).
       place: of the joint in an arm; None for a single joint.
       raw: raw compliance model [N·m], shape (n,), if it is already known.
@@ -75,7 +76,7 @@ class Run:
     known: KnownJoint
     simulation: Simulation
     estimates: dict[str, Posterior]
-    position_command: np.ndarray
+    command: np.ndarray
     external_torque: np.ndarray
     place: Place | None = None
     raw: np.ndarray | None = None
@@ -113,6 +114,19 @@ class Run:
     def model_torque(self) -> np.ndarray:
         """Raw compliance model [N·m], shape (n,): the input of the paper's filters."""
         return registry.get("model").estimate(self.signals, self.known).mean if self.raw is None else self.raw
+
+    @property
+    def position_command(self) -> np.ndarray | None:
+        """Commanded link position [rad], shape (n,); None without position control."""
+        return self.command if self.scenario.mode == "position" else None
+
+    @cached_property
+    def command_error(self) -> np.ndarray:
+        """Command less the true link position [rad], link velocity [rad/s], or motor torque N·Kt·i [N·m], shape (n,)."""
+        if self.scenario.mode == "torque":
+            p = self.joint.record()[0]
+            return self.command - p["N"] * p["Kt"] * self.truth("motor_current")
+        return self.command - self.truth(f"link_{self.scenario.mode}")
 
     @cached_property
     def kinematic_error(self) -> np.ndarray:
@@ -173,7 +187,7 @@ class Run:
         """Metrics of every filter, of the raw compliance model and of the torque sensor (`evaluation.metrics`)."""
         reference = self.reference
         truth, kept = reference.truth, reference.kept
-        error = (self.position_command - self.truth("link_position"))[kept]
+        error = self.command_error
         tip = self.tip_force
         return {
             "scenario": self.name,
@@ -184,10 +198,10 @@ class Run:
             "sensor": reference.evaluate(reference.reading),
             "notes": list(self.notes),
             "truth": {"joint_torque_range": [float(truth[kept].min()), float(truth[kept].max())]},
-            "position_error": {
-                "rms": float(np.sqrt(np.mean(error**2))),
-                "max": float(np.max(np.abs(self.position_command - self.truth("link_position")))),
-                "unit": "rad",
+            f"{self.scenario.mode}_error": {
+                "rms": float(np.sqrt(np.mean(error[kept] ** 2))),
+                "max": float(np.max(np.abs(error))),
+                "unit": MODES[self.scenario.mode],
             },
             "tip_force": None if tip is None else {"rms": tip.errors(kept), "lever": tip.lever, "unit": "N, m"},
         }
@@ -202,7 +216,9 @@ class Run:
         if not names:
             stated = [n for n in _WHERE_STATED if getattr(self.joint.sensors, n).noise > 0.0]
             names = [*_RECORDED, *stated]
-        columns = {name: self.reading(name) for name in names} | {"position_command": self.position_command}
+        columns = {name: self.reading(name) for name in names}
+        if self.position_command is not None:
+            columns["position_command"] = self.position_command
         columns |= self.simulation.further
         external = self.external_torque if self.place is None else self.place.external_torque
         pushed = bool(np.any(external))
@@ -216,9 +232,10 @@ class Run:
             description=self.scenario.description,
             link=mounting,
             external="measured" if pushed else "none",
+            payloads=tuple(self.scenario.payloads) if self.scenario.known_payloads else (),
         )
         if self.place is None:
-            return recording
+            return with_load(recording, self.joint.numbers["N"].value)
         arm = self.place.arm
         link, load = Arm.of_text(arm.spec, arm.mjcf).of(
             recording.time, self.reading("link_position"), arm.positions, recording.segments
@@ -238,13 +255,16 @@ def _unknown(kind: str, name: str, known: Iterable[str]) -> str:
 
 
 def _late(run: Run) -> Iterator[str]:
-    """Disturbances that start or end after the scenario's end."""
+    """Disturbances and payloads that start or end after the scenario's end."""
     end, disturbances = run.scenario.duration, list(enumerate(run.scenario.disturbances))
     late = [(f"disturbances.{i}", f"{d.start:g}") for i, d in disturbances if d.start >= end]
     if late:
         names, starts = (", ".join(words) for words in zip(*late, strict=True))
         start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
         yield f"{names} {start} at {starts} s, after the end at {end:g} s: {act}"
+    for i, one in enumerate(run.scenario.payloads):
+        if one.start >= end:
+            yield f"payloads.{i} starts at {one.start:g} s, after the end at {end:g} s: it is never carried"
     for i, d in disturbances:
         if d.start < end < d.start + d.duration:
             yield f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
@@ -261,10 +281,11 @@ def _saturated(run: Run) -> Iterator[str]:
     fast = np.diff(run.time[at_limit])[turns] < _FAST
     unstable = run.scenario.controller.torque_loop > 0.0 and np.count_nonzero(fast) >= _TURNS
     cause = "the torque loop is unstable" if unstable else "the motion asks for more than it gives"
-    off = float(np.max(np.abs(run.position_command - run.truth("link_position"))))
+    off, unit = float(np.max(np.abs(run.command_error))), MODES[run.scenario.mode]
+    what = "motor" if run.scenario.mode == "torque" else "link"
     yield (
-        f"the drive is at its limit of {limit:g} A for {100 * share:.2g} % of the time: {cause}, and the link is up to "
-        f"{off:.2g} rad off its command"
+        f"the drive is at its limit of {limit:g} A for {100 * share:.2g} % of the time: {cause}, and the {what} is up to "
+        f"{off:.2g} {unit} off its command"
     )
 
 
@@ -274,7 +295,7 @@ def _unused(run: Run) -> Iterator[str]:
     coefficients = (joint.record()["friction_temperature"][0] for joint in (run.joint, run.known_joint))
     if (at.start, at.end) != (REFERENCE_TEMPERATURE,) * 2 and not any(coefficients):
         yield f"temperature acts on nothing: {run.joint.name} states no friction that depends on it"
-    if scenario.locked_rotor and len({way.position for way in scenario.trajectory}) > 1:
+    if scenario.locked_rotor and len({way.command for way in scenario.trajectory}) > 1:
         yield "trajectory acts on nothing: the rotor is locked"
     if isinstance(scenario.sensors, dict) and not any(name.startswith("force") for name in scenario.record):
         for name in {"wrench", "force"} & scenario.sensors.keys():
@@ -336,7 +357,7 @@ def run_of(
     """Return an experiment with its results as a run."""
     return Run(
         experiment.scenario, experiment.joint, experiment.known_joint, experiment.known, simulation, estimates,
-        experiment.position, experiment.external_torque, place,
+        experiment.command, experiment.external_torque, place,
     )  # fmt: skip
 
 

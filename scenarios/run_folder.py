@@ -22,6 +22,7 @@ from ..models.signals import READINGS, SENSED
 from ..models.tables import read_table, write_table
 from ..sim.loop import CONTROL_PERIOD, TRUTH, Simulation
 from ..sim.sensors import time_stamps
+from .experiment import with_known_payloads
 from .run import Run
 from .scenario import Scenario
 
@@ -109,7 +110,8 @@ def load_run(folder: Path) -> Run:
         time_stamps(time, scenario.jitter, scenario.seed), scenario.current == "command",
         {name: columns[name] for name in own_sensors.names() if name in columns},
     )  # fmt: skip
-    command, external = (_column(columns, name, folder) for name in ("position_command", "external_torque"))
+    simulation = with_known_payloads(simulation, scenario, scenario.mount(known_joint))
+    command, external = (_column(columns, name, folder) for name in (f"{scenario.mode}_command", "external_torque"))
     return Run(
         scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario, time), command, external,
         raw=_column(columns, "model_torque", folder),
@@ -121,7 +123,7 @@ def signal_columns(run: Run) -> dict[str, np.ndarray]:
     truth, readings = run.simulation.truth, run.simulation.readings
     return {
         "time": run.time,
-        "position_command": run.position_command,
+        f"{run.scenario.mode}_command": run.command,
         "external_torque": run.external_torque,
         "current_command": run.simulation.command,
         **{name: readings[name] for name in SENSED},

@@ -13,12 +13,13 @@ import numpy as np
 from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
-from ..models.controller import Controller
+from ..models.controller import MODES, Controller, Mode
 from ..models.errors import InputError, nearest, unknown_key
 from ..models.files import M, Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import Joint, load_joint
 from ..models.joint_parts import SYMBOLS, Mounting, Sensors
 from ..models.parameters import REFERENCE_TEMPERATURE
+from ..models.payload import CarriedMass
 from ..models.recording import check_channels
 from ..models.signals import SENSED
 from ..sim.loop import CONTROL_PERIOD
@@ -34,13 +35,32 @@ LAGGING = Controller().lagging(2e-3)
 
 
 class Waypoint(Strict):
-    """A position of the link at a time; between waypoints the command moves with minimum jerk, or linearly."""
+    """A command at a time: a position, a velocity or a torque. Between waypoints it moves with minimum jerk, or linearly."""
 
     time: Annotated[float, Field(ge=0, description="s")]
-    position: Annotated[float, Field(description="rad, output side; 0 is straight down")]
+    position: Annotated[float | None, Field(description="of the link, rad; 0 is straight down")] = None
+    velocity: Annotated[float | None, Field(description="of the link, rad/s")] = None
+    torque: Annotated[float | None, Field(description="of the motor at the output, N·Kt·i, N·m")] = None
     profile: Annotated[Literal["minimum_jerk", "linear"], Field(description="of the motion that ends here")] = (
         "minimum_jerk"
     )
+
+    @model_validator(mode="after")
+    def _one_command(self) -> Waypoint:
+        given = [mode for mode in MODES if getattr(self, mode) is not None]
+        if len(given) != 1:
+            raise ValueError(f"expected one of {', '.join(MODES)}, got {' and '.join(given) or 'none'}")
+        return self
+
+    @property
+    def mode(self) -> Mode:
+        """What is commanded."""
+        return next(mode for mode in MODES if getattr(self, mode) is not None)
+
+    @property
+    def command(self) -> float:
+        """The commanded position [rad], velocity [rad/s] or torque [N·m]."""
+        return float(getattr(self, self.mode))
 
 
 class Disturbance(Strict):
@@ -143,11 +163,18 @@ class Scenario(Strict):
     locked_rotor: bool = False
     """Hold the rotor still; only the disturbances turn the output."""
     trajectory: Annotated[list[Waypoint], Field(min_length=1)]
-    """Commanded positions of the link."""
+    """Commanded positions of the link, or velocities, or torques: position, velocity or torque control."""
+    start: Annotated[
+        float | None, Field(description="of the link, rad; position control starts at its first waypoint")
+    ] = None
     motions: list[AddedMotion] = []
     """Added to the trajectory."""
     disturbances: list[Disturbance] = []
     """Forces at the link."""
+    payloads: list[CarriedMass] = []
+    """Masses that the link picks up and puts down, in addition to its mounting."""
+    known_payloads: bool = True
+    """Whether the estimators and the recording know the payloads."""
     sensors: Annotated[
         dict[str, Any] | Literal["realistic"],
         Field(
@@ -164,7 +191,7 @@ class Scenario(Strict):
     ] = "command"
     jitter: Annotated[float, Field(ge=0, lt=1e-3, description="of the time stamps, s rms")] = 0.0
     controller: Controller = Controller()
-    """Position controller; keys that it does not state are the joint's, if that has a `controller`."""
+    """Of the drive; keys that it does not state are the joint's, if that has a `controller`."""
     feedback: Annotated[str, Field(description="filter whose estimate is fed back, `sensor`, or `none`")] = "none"
     temperature: Annotated[Temperature, Field(description="of the gear, °C")] = Temperature(
         start=REFERENCE_TEMPERATURE, end=REFERENCE_TEMPERATURE
@@ -204,6 +231,11 @@ class Scenario(Strict):
         for i, (a, b) in enumerate(itertools.pairwise(times)):
             if b <= a:
                 raise ValueError(f"trajectory.{i + 1}.time: expected a time after {a:g} s, got {b:g} s")
+        for i, way in enumerate(self.trajectory):
+            if way.mode != self.mode:
+                raise ValueError(f"trajectory.{i}: expected a {self.mode}, as in the first waypoint, got a {way.mode}")
+        if self.start is not None and self.mode == "position":
+            raise ValueError("start: expected none in position control, which starts at its first waypoint")
         self._check_filters()
         for i, channel in enumerate(self.record):
             if channel not in SENSED or channel in self.record[:i]:
@@ -235,6 +267,11 @@ class Scenario(Strict):
                 f"feedback: expected a filter that can run in the loop, got {self.feedback!r}, which looks ahead"
             )
 
+        if self.payloads and self.known_payloads and self.feedback in names:
+            raise ValueError(
+                f"known_payloads: expected false, as the filter that is fed back, {self.feedback}, does not know them in the loop"
+            )
+
     @property
     def ticks(self) -> int:
         """Number of control ticks."""
@@ -245,26 +282,31 @@ class Scenario(Strict):
         """Control ticks [s], shape (n,)."""
         return np.arange(self.ticks) * CONTROL_PERIOD
 
+    @property
+    def mode(self) -> Mode:
+        """What the drive is commanded."""
+        return self.trajectory[0].mode
+
     def commands(self, time: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return commanded link position [rad] and velocity [rad/s], shape (n,) each, at all control ticks, or at increasing
-        times [s]."""
+        """Return the command of the drive, in the unit of its mode (`controller.MODES`), and its derivative, shape (n,) each, at
+        all control ticks, or at increasing times [s]."""
         time = self.time if time is None else time
-        position = np.full_like(time, self.trajectory[0].position)
-        velocity = np.zeros_like(time)
+        command = np.full_like(time, self.trajectory[0].command)
+        rate = np.zeros_like(time)
         for a, b in itertools.pairwise(self.trajectory):
-            T, A = b.time - a.time, b.position - a.position
+            T, A = b.time - a.time, b.command - a.command
             u = np.clip((time - a.time) / T, 0, 1)
             inside = (time >= a.time) & (time < b.time)
             if b.profile == "linear":
                 s, ds = u, np.ones_like(u)
             else:
                 s, ds = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2
-            position = np.where(time >= a.time, a.position + A * s, position)
-            velocity = np.where(inside, A * ds / T, velocity)
+            command = np.where(time >= a.time, a.command + A * s, command)
+            rate = np.where(inside, A * ds / T, rate)
         for motion in self.motions:
-            further, rate = motion.signal(time)
-            position, velocity = position + further, velocity + rate
-        return position, velocity
+            further, its_rate = motion.signal(time, self.mode)
+            command, rate = command + further, rate + its_rate
+        return command, rate
 
     @property
     def happening(self) -> list[Disturbance]:
@@ -286,7 +328,8 @@ class Scenario(Strict):
     def lever(self) -> float | None:
         """Common lever [m] of all forces, if the wrench is recorded to compare with; None otherwise."""
         levers = {d.lever for d in self.disturbances}
-        return levers.pop() or None if "force_x" in self.record and len(levers) == 1 else None
+        compared = "force_x" in self.record and len(levers) == 1 and not self.payloads
+        return levers.pop() or None if compared else None
 
     def estimators(self) -> dict[str, Estimator]:
         """Return its filters by name."""

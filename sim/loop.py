@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import mujoco
@@ -24,7 +25,7 @@ from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
 from .drive import control
-from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, state_of
+from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, put_record, state_of
 from .sensors import distort, low_pass, sample
 
 CONTROL_PERIOD = 0.001
@@ -75,6 +76,7 @@ class Simulation:
       stamps: shape (n,), time stamps of the readings [s]; `time` for an exact clock.
       commanded: whether estimators may read the current command; otherwise they use the current sensor.
       further: readings of sensors of plugins (`models.own_sensors`), shape (n,) each.
+      carried: torque of known payloads on the link, shape (n,) [N·m] (`models.arm.Load.on`); None without.
     """
 
     time: np.ndarray
@@ -85,6 +87,7 @@ class Simulation:
     stamps: np.ndarray | None = None
     commanded: bool = True
     further: Mapping[str, np.ndarray] = field(default_factory=dict)
+    carried: np.ndarray | None = None
 
 
 SENSOR_FEEDBACK = "sensor"
@@ -97,7 +100,8 @@ class Driven:
 
     Attributes:
       record: the plant's parameter record, shape (1,).
-      position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
+      command, rate: of the drive, in the unit of the controller's mode (`controller.MODES`), and derivative, shape (n,).
+      external_torque: on the link [N·m], shape (n,).
       sensors, noise: of `sim.sensors`.
       controller: `models.controller.CONTROLLER` record, shape (1,).
       feedback: the estimator in the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: no feedback.
@@ -108,11 +112,12 @@ class Driven:
       stamps: time stamps of the readings [s], shape (n,); exact by default.
       commanded: whether estimators may read the current command (`models.step.CompiledStep.reads_command`).
       prefix: of its names in a model of several joints.
+      start: of the link [rad]; the first command by default.
     """
 
     record: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
+    command: np.ndarray
+    rate: np.ndarray
     external_torque: np.ndarray
     sensors: np.ndarray
     noise: np.ndarray
@@ -124,6 +129,22 @@ class Driven:
     stamps: np.ndarray | None = None
     commanded: bool = True
     prefix: str = ""
+    start: float | None = None
+
+
+@dataclass(frozen=True)
+class Change:
+    """Another plant from a tick on: the link of the only joint picks up or puts down a payload.
+
+    Attributes:
+      tick: the first one.
+      model: differs from the one before in numbers only.
+      record: its joint's parameter record, shape (1,).
+    """
+
+    tick: int
+    model: mujoco.MjModel
+    record: np.ndarray
 
 
 class ClosedLoop:
@@ -134,20 +155,25 @@ class ClosedLoop:
       done: number of simulated ticks.
     """
 
-    def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven]):
-        """Start at rest at the first commanded positions.
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven], changes: Sequence[Change] = ()):
+        """Start at rest.
 
         Args:
           model: of `plant.build` or `arm.build`; it is not changed.
           joints: in the model's order, with as many ticks each.
+          changes: of the plant, of a single joint; a change at tick 0 is the plant from the start on.
         """
+        self._changes = {change.tick: change for change in changes}
+        records = [one.record for one in joints]
+        if 0 in self._changes:
+            model, records = self._changes[0].model, [self._changes[0].record]
         substeps, timestep = round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep)
         model = copy.copy(model)
         given = _Given.of(joints, substeps * timestep)
         data = mujoco.MjData(model)
         for one, temperature in zip(joints, given.temperature, strict=True):
             plant.memory(model, data, one.prefix)[TEMPERATURE] = temperature[0]
-        start = np.array([one.position[0] for one in joints])
+        start = np.array([one.command[0] if one.start is None else one.start for one in joints])
         gear = np.array([one.record[0]["N"] for one in joints])
         plant.start(model, data, np.stack([start * gear, start * gear, start], axis=1))
         steps = [
@@ -171,7 +197,7 @@ class ClosedLoop:
         self._constant = (
             native.function_address("mj_step"), model._address, data._address,
             np.concatenate([_addresses(model, one.prefix) for one in joints]), substeps, timestep,
-            np.concatenate([one.record for one in joints]), sensors, controller, estimators, commanded,
+            np.concatenate(records), sensors, controller, estimators, commanded,
             np.zeros(sensors.shape), drive, given.stamps[:, 0].copy(), crosstalk,
         )  # fmt: skip
         self.done, n = 0, given.stamps.shape[1]
@@ -210,16 +236,28 @@ class ClosedLoop:
             return slice(begin, begin)
         end = min(begin + ticks, n)
         with native.quiet(), native.untimed():
-            _loop(self._constant, self._given, self._took, self._failed, begin, end)
+            for first, last in pairwise([begin, *(k for k in sorted(self._changes) if begin < k < end), end]):
+                if first in self._changes and first > 0:
+                    self._change(self._changes[first])
+                _loop(self._constant, self._given, self._took, self._failed, first, last)
+                if self._failed[:, 0].min() < n:
+                    break
         self.done = min(end, int(self._failed[:, 0].min()))
         return slice(begin, self.done)
+
+    def _change(self, change: Change) -> None:
+        """Go on with another model and the same state."""
+        step, _, *others = self._constant
+        self._constant = (step, change.model._address, *others)
+        self._constant[6][:] = change.record
+        put_record(self._alive[1], 0, change.record)
 
 
 class _Given(NamedTuple):
     """Inputs of joints, by joint and tick, shape (joints, n), as in `Driven`; noise shape (joints, n, channels)."""
 
-    position: np.ndarray
-    velocity: np.ndarray
+    command: np.ndarray
+    rate: np.ndarray
     external: np.ndarray
     temperature: np.ndarray
     noise: np.ndarray
@@ -229,7 +267,7 @@ class _Given(NamedTuple):
     @classmethod
     def of(cls, joints: Sequence[Driven], step: float) -> _Given:
         """Collect the inputs; `step`: between ticks [s]."""
-        n = len(joints[0].position)
+        n = len(joints[0].command)
         many, time = (len(joints), n), np.arange(n) * step
         temperature, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
         stamps = np.tile(time, (len(joints), 1))
@@ -239,7 +277,7 @@ class _Given(NamedTuple):
                 if given is not None:
                     array[i] = given
         return cls(
-            np.stack([one.position for one in joints]), np.stack([one.velocity for one in joints]), external, temperature,
+            np.stack([one.command for one in joints]), np.stack([one.rate for one in joints]), external, temperature,
             _as_floats(np.stack([np.ascontiguousarray(one.noise) for one in joints])), tip_force, stamps,
         )  # fmt: skip
 
@@ -305,7 +343,7 @@ def _loop(constant, drives, took, failed, begin, end):
         step, model, data, addresses, substeps, h, record, sensors, controller, estimators, commanded, raw, drive, began,
         crosstalk,
     ) = constant  # fmt: skip
-    position, velocity, external, temperature, noise_of, tip_force, stamps = drives
+    asked, rate, external, temperature, noise_of, tip_force, stamps = drives
     truth, readings, reading_of, command, seen = took
     at = addresses[0]
     act = floats_at(word_at(data + 8 * at.act))
@@ -316,7 +354,7 @@ def _loop(constant, drives, took, failed, begin, end):
     memory = floats_at(word_at(data + 8 * at.plugin_state))
     disabled = ints_at(model + 4 * at.disableflags)
 
-    joints = len(position)
+    joints = len(asked)
     channels = sensors.shape[1]
     dt = substeps * h
     ideal = np.zeros(1, READINGS)
@@ -376,9 +414,8 @@ def _loop(constant, drives, took, failed, begin, end):
                     return
                 estimate = floats_at(out_at)[0]
             command[j, k] = control(
-                position[j, k], velocity[j, k], readings[j, k].motor_position, estimate, drive[j], dt,
-                controller[j],
-            )  # fmt: skip
+                asked[j, k], rate[j, k], readings[j, k].motor_position, estimate, drive[j], dt, controller[j]
+            )
 
             # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
             ctrl[motor[j]] = _input(command, j, first, delay[j], substeps, Kt[j])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -12,6 +13,7 @@ from ..models.errors import InputError
 from ..models.joint import Joint, shipped
 from ..models.joint_parts import Mounting
 from ..models.parameters import GRAVITY
+from ..models.payload import CarriedMass, carrying
 from . import native, plugin
 from .shape import shape
 
@@ -28,6 +30,7 @@ def build(
     record: np.ndarray | None = None,
     ideal_current: bool = False,
     locked_rotor: bool = False,
+    payloads: Sequence[CarriedMass] = (),
 ) -> mujoco.MjModel:
     """Build the MuJoCo model of a joint.
 
@@ -39,6 +42,7 @@ def build(
       ideal_current: whether the motor's control is torque, without the winding's dynamics and voltage limit, as in
         the independent reference solutions.
       locked_rotor: whether the rotor is locked.
+      payloads: that the link carries, in addition to the record's load.
 
     Returns:
       The model. Coordinates: rotor, wave generator, link, and the flexible part of the link (if there is one).
@@ -51,13 +55,17 @@ def build(
     record = joint.record(mounting) if record is None else record
     try:
         with native.quiet():
-            return describe(record, timestep, ideal_current, locked_rotor).compile()
+            return describe(record, timestep, ideal_current, locked_rotor, payloads).compile()
     except ValueError as error:
         raise InputError(f"{joint.name}: no plant: {' '.join(str(error).split())}") from error
 
 
 def describe(
-    record: np.ndarray, timestep: float, ideal_current: bool = False, locked_rotor: bool = False
+    record: np.ndarray,
+    timestep: float,
+    ideal_current: bool = False,
+    locked_rotor: bool = False,
+    payloads: Sequence[CarriedMass] = (),
 ) -> mujoco.MjSpec:
     """Return the spec of a joint with the numbers of a record; its bodies are the test joint's."""
     plugin.register()
@@ -70,6 +78,9 @@ def describe(
         _add_flexible_part(spec, p)
     if locked_rotor:
         spec.joint("rotor").armature = _LOCKED
+    if payloads:
+        _add_payloads(spec, p, payloads)
+        record = carrying(record, payloads)
     put_laws(spec, record)
     return spec
 
@@ -220,6 +231,16 @@ def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
     flange = spec.body("flange")
     flange.explicitinertial = True
     flange.mass, flange.ipos, flange.inertia = 1e-6, [0.0] * 3, [1e-9] * 3
+
+
+def _add_payloads(spec: mujoco.MjSpec, p: np.void, payloads: Sequence[CarriedMass]) -> None:
+    """Add the masses of payloads to the link of a record without them."""
+    masses = [(*link_mass(p), 0.0), *((one.mass, one.distance, one.angle) for one in payloads)]
+    mass = sum(m for m, _, _ in masses)
+    x, z = (sum(m * r * of(p["gravity_angle"] + a) for m, r, a in masses) / mass for of in (np.sin, np.cos))
+    inertia = float(p["Jl"] - laws.flexible_inertia(p)) + sum(one.joint_inertia for one in payloads)
+    body = spec.body("link")
+    body.mass, body.ipos, body.inertia = mass, [x, 0, -z], [inertia - mass * (x * x + z * z)] * 3
 
 
 def _add_flexible_part(spec: mujoco.MjSpec, p: np.void) -> None:

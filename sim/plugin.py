@@ -371,6 +371,12 @@ def config(record: np.ndarray) -> dict[str, str]:
     }
 
 
+def put_record(data: Any, i: int, record: np.ndarray) -> None:
+    """Give instance i of a model other parameters, of a record of shape (1,)."""
+    numbers = (ctypes.c_double * SIZE).from_address(int(data.plugin_data[i]) + 8 * _HEADER)
+    numbers[:] = as_floats(record).tolist()
+
+
 def slot() -> int:
     """Number under which MuJoCo knows the plugin: of an instance, `mjModel.plugin` says it."""
     return int(_registered[0])

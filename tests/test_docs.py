@@ -122,7 +122,7 @@ def snippets(page: Path, language: str) -> list[str]:
 
 def test_scenario_and_study_are_read():
     *scenarios, study = (yaml.safe_load(text) for text in snippets(ROOT / "docs" / "scenarios.md", "yaml"))
-    assert len(scenarios) == 2
+    assert len(scenarios) == 4
     for scenario in scenarios:
         parse(scenario, Scenario, "the scenario")
     parse(study, Study, "the study")

@@ -71,6 +71,8 @@ def _everyday(p: ParameterEstimate, q: CauseParameter, joint: Joint) -> str:
         return "an amount that these data do not determine"
     if q.integer:
         return f"{value:g}"
+    if q.name == "ratio":
+        return f"{100 * abs(value):.2g} % higher {'forward' if value > 0 else 'backward'} than on average"
     if q.relative or q.name in ("scale", "gain"):
         change = value / (float(joint.bare_record()[0][q.relative]) if q.relative else 1.0) - 1.0
         return f"{100 * abs(change):.2g} % {'above' if change > 0 else 'below'} the described value"
@@ -84,4 +86,4 @@ def _everyday(p: ParameterEstimate, q: CauseParameter, joint: Joint) -> str:
         return f"{100 * abs(value):.2g} % {'higher' if value > 0 else 'lower'}"
     scaled = {"1": (100.0, "%"), "1/K": (100.0, "% per K"), "s": (1e3, "ms") if value < 1 else (1.0, "s")}
     factor, unit = scaled.get(q.unit, (1.0, q.unit))
-    return f"{factor * value:.2g} {unit}"
+    return f"{factor * value:.2g} {unit}".replace("-", "−")

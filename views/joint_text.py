@@ -30,8 +30,9 @@ def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str
     first.append(f"the motor gives {c.largest_torque:.3g} N·m and {c.no_load_speed:.3g} rad/s")
     return Group(
         first, Text("\n".join(textwrap.wrap(" ".join(joint.description.split()), WIDTH)), style="dim"), "",
-        _stiffness(c, number["rated_torque"]), Text(_hysteresis(c)), "", _resonances(c, number["rated_torque"]),
-        Text("\n".join(_encoders(c))), "", Text("Causes that a diagnosis can detect", style="bold"), *(_causes(seen)),
+        _stiffness(c, number["rated_torque"]), Text(_hysteresis(c)), "", _efficiency(c, number["rated_torque"]), "",
+        _resonances(c, number["rated_torque"]), Text("\n".join(_encoders(c))), "",
+        Text("Causes that a diagnosis can detect", style="bold"), *(_causes(seen)),
     )  # fmt: skip
 
 
@@ -69,6 +70,21 @@ def _stiffness(c: Characteristics, rated: float) -> RenderableType:
     table.add_row(Text("torsion [mrad]"), *(f"{x:.3g} ± {s:.2g}" for x, s in zip(twist, deviation, strict=True)))
     table.add_row(Text("stiffness [N·m/rad]"), *(f"{float(f'{x:.3g}'):.6g}" for x in at(c.stiffness, 1.0)))
     table.add_row(Text("encoders see [N·m rms]"), *(f"{x:.2g}" for x in at(c.torque_resolution, 1.0)))
+    return table
+
+
+def _efficiency(c: Characteristics, rated: float) -> RenderableType:
+    table = narrow_table("Efficiency [%] over load", "±: one standard deviation of the description's tolerances")
+    for name in ("load [N·m]", "speed [rad/s]", "driving", "back-driving"):
+        table.add_column(name, justify="right")
+    for share in _SHARES:
+        for k, speed in enumerate(c.efficiency_speed):
+            found = [
+                100 * np.interp(share * rated, c.torque, values[k])
+                for values in (c.driving, c.driving_deviation, c.back_driving, c.back_driving_deviation)
+            ]
+            words = [f"{found[i]:.0f} ± {found[i + 1]:.0f}" for i in (0, 2)]
+            table.add_row(f"{share * rated:.3g}", f"{speed:.2g}", *words)
     return table
 
 

@@ -22,7 +22,7 @@ from ...models.errors import InputError, InputWarning, nearest, unknown_key
 from ...models.files import Strict, load
 from ...models.joint import load_joint
 from ...models.joint_parts import Mounting
-from ...models.parameters import GRAVITY
+from ...models.payload import PayloadSpec
 from ...models.recording import External, Recording, check_channels, in_arm
 from ...models.signals import CHANNELS
 from ...models.text_tables import TextForm, seconds
@@ -195,30 +195,6 @@ class ChannelSource(_Reading):
         known = values + self.offset
         away = self.zero.away(known, table)
         return known - away if abs(away) > self.zero.beyond else known
-
-
-class PayloadSpec(Strict):
-    """A payload on the link."""
-
-    mass: Annotated[float, Field(ge=0)]
-    """[kg]."""
-    distance: Annotated[float, Field(ge=0)]
-    """Of its centre from the axis [m]."""
-    angle: float = 0.0
-    """Of it against the link's own centre of mass [rad]."""
-    inertia: Annotated[float, Field(ge=0)] = 0.0
-    """About its own centre [kg·m²]."""
-
-    def on(self, link: Mounting) -> Mounting:
-        """Return the link with the payload: m g d adds to the gravity moment as a vector, m d² and `inertia` to the inertia."""
-        moment = self.mass * GRAVITY * self.distance
-        whole = link.gravity_moment + moment * np.exp(1j * self.angle)
-        turned = float(np.angle(whole)) if abs(whole) > 0 else 0.0
-        return Mounting(
-            inertia=link.inertia + self.mass * self.distance**2 + self.inertia,
-            gravity_moment=float(abs(whole)),
-            gravity_angle=link.gravity_angle + turned,
-        )
 
 
 class LogLoad(Strict):

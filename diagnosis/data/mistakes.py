@@ -12,6 +12,7 @@ one explains the original channels.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,9 +20,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ...models.command_lines import mending
-from ...models.errors import InputError
+from ...models.errors import InputError, InputWarning
 from ...models.joint import Joint
-from ...models.recording import GAP, Measurement, Recording, check_channels, with_arm_load
+from ...models.recording import GAP, Measurement, Recording, check_channels, with_load
 from ...models.signals import DRIVING, POSITIONS
 from .changes import GRAVITY, NO_CHANGE, Mistake, Table, expected_sign, shrinkage, side, undone
 from .plausibility import SETTINGS as AGREEMENT
@@ -29,7 +30,7 @@ from .plausibility import Plausibility, RelationFit, SmoothedChannels, motion_of
 from .samples import bridged, still_commands, unwrapped, wrong_samples
 from .time_offsets import late_columns
 
-__all__ = ["NO_CHANGE", "Mistake", "find_mistakes", "mended", "mended_if_possible", "require_sound"]
+__all__ = ["NO_CHANGE", "Mistake", "find_mistakes", "mended", "mended_if_possible", "require_sound", "unclipped"]
 
 
 @dataclass(frozen=True)
@@ -415,11 +416,20 @@ def _temperature(recording: Recording) -> list[Mistake]:
     ]
 
 
-def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
+def unclipped(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement:
+    """Return the measurement without the few samples at a sensor's or drive's limit."""
+    clipped = [m for m in mistakes if m.name == "clipped" and not m.severe]
+    return mended(measurement, joint, clipped) if clipped else measurement
+
+
+def require_sound(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[Mistake, ...]]:
     """Refuse a measurement with invalid motion or current.
 
     Returns:
-      Severe mistakes in columns that estimators do not read.
+      The measurement `unclipped`, and severe mistakes in columns that estimators do not read.
+
+    Warns:
+      InputWarning: samples that are left out.
 
     Raises:
       InputError: the first severe mistake in a column that estimators read, with its correction.
@@ -436,7 +446,11 @@ def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
             raise InputError(
                 f"{where}: {m.description}, corrected by: {m.change}; `{mending(measurement, joint, 'DIR')}` corrects it"
             )
-    return tuple(m for m in severe if m.column in _UNREAD)
+    sound = unclipped(measurement, joint, found)
+    if sound is not measurement:
+        for m in (m for m in found if m.name == "clipped"):
+            warnings.warn(f"{m.where}: {m.description}: {m.change}", InputWarning, stacklevel=2)
+    return sound, tuple(m for m in severe if m.column in _UNREAD)
 
 
 def mended_if_possible(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement | None:
@@ -528,8 +542,8 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
     found = replace(recording, time=time, columns=columns)
     found = found.at(~lost) if lost.any() else found
     moved = {c for m in mistakes for c in (m.column or "link_position", *m.also)} & {*POSITIONS, "time"}
-    # The arm's load depends on the link's motion.
-    return with_arm_load(found, N) if moved and recording.arm is not None else found
+    # The load of an arm or a payload depends on the link's motion.
+    return with_load(found, N) if moved else found
 
 
 def _unwrapped(m: Mistake, time: np.ndarray, columns: dict[str, np.ndarray], rows: np.ndarray, N: float) -> np.ndarray:

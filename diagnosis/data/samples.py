@@ -56,7 +56,7 @@ class SampleSettings:
     together: float = 0.2  # largest relative difference of a jump of both encoders
     uncommanded: float = 0.3  # motion of the link [rad] that needs a command
     whole: float = 0.1  # tolerance of a counter's jump by whole turns [turns]
-    clipped: float = 0.01  # share of clipped samples that is severe
+    clipped: float = 0.5  # share of clipped samples that is severe: the others are left out
     listed: int = 4  # rows that are listed one by one
 
 
@@ -114,7 +114,7 @@ def _mistake(name: str, column: str, recording: Recording, rows: np.ndarray, tur
     elif name == "stuck":
         text = "does not move" if len(rows) == n else f"does not move in {count} although it should, {where}"
     else:
-        text, severe = f"{count} at the sensor's limit, {where}", len(rows) > SETTINGS.clipped * n
+        text, severe = f"{count} at a limit beyond which nothing is read, {where}", len(rows) > SETTINGS.clipped * n
     rows_ = tuple(int(k) for k in rows)
     return Mistake(name, column, recording.name, text, 0.99, factor=turn, rows=rows_, severe=severe)
 

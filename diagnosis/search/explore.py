@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -266,10 +267,16 @@ class Explorer:
         own = [i for i, effect in enumerate(effects) if effect >= EFFECT]
         dropped = list(self._drops(best, linear, post, own))
         lost = {i: x for i, _, x in dropped}
-        now = post.judge(best, lost, {i: unexplained_size(problem, best, linear, i, effects) for i in own})
+        close = [(i, j) for i in own for j in range(len(best.model)) if j != i and _correlated(problem, best, i, j)]
+        alike = {i: unexplained_size(problem, best, linear, i, effects) for i in own}
+        both = {
+            (i, j): unexplained_size(problem, best, linear, i, [*effects[:j], 0.0, *effects[j + 1 :]])
+            for i, j in combinations(own, 2)
+        }
+        now = post.judge(best, lost, alike, both)
         models = [now, *(m for _, m, _ in dropped)]
         pairs: list[tuple[int, ...]] = [(i,) for i in own]
-        pairs += [(i, j) for i in own for j in range(len(best.model)) if j != i and _correlated(problem, best, i, j)]
+        pairs += close
         pairs = list({frozenset(pair): pair for pair in pairs}.values())
         for gone in pairs:
             less, gained = without(problem, linear, *gone)

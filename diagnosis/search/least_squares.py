@@ -23,6 +23,7 @@ from .posterior import dispersion
 CAUSES = {
     "gravity_moment": ("gravity_moment", "scale"),
     "inertia": ("link_inertia", "scale"),
+    "link_inertia": ("link_inertia", "scale"),
     "rotor_inertia": ("rotor_inertia", "value"),
     "Fc": ("mesh_friction", "scale"),
     "viscous": ("viscous_friction", "coefficient"),

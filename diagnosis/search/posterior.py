@@ -36,6 +36,7 @@ EFFECT = 0.1  # probability of an effect below which a cause counts as an imperf
 KNOWN = 0.1  # variance of an unknown over its prior's below which the data determine it
 _HELD = 1e-6  # spread of an unknown that does not move
 NOTHING: Mapping[int, float] = MappingProxyType({})
+NO_PAIRS: Mapping[tuple[int, int], float] = MappingProxyType({})
 
 
 def quiet_rms(problem: Problem, f: Fit) -> float:
@@ -90,24 +91,31 @@ class ModelPosterior:
             self.temper = max(self.temper, dispersion(problem, reference))
         self.real = float(np.clip((quiet - IDEAL) / WIDTH, -20.0, 20.0))
 
-    def judge(self, f: Fit, lost: Mapping[int, float] = NOTHING, looks_like: Mapping[int, float] = NOTHING) -> Judged:
+    def judge(
+        self,
+        f: Fit,
+        lost: Mapping[int, float] = NOTHING,
+        looks_like: Mapping[int, float] = NOTHING,
+        both_small: Mapping[tuple[int, int], float] = NO_PAIRS,
+    ) -> Judged:
         """Return the log posterior of a model.
 
         Args:
           lost: by index of a cause, loss of log likelihood in a fit without it: at the end of a number's tolerance a cause is
             better known than by its curvature.
           looks_like: by index of a cause, its `unexplained_size`: the prior of an imperfection is that much wider.
+          both_small: the same of the first of two causes, if the second is an imperfection, too: each of them alone
+            can be small if the other is large.
         """
         if not np.isfinite(f.log_evidence):
             return Judged(f, -np.inf, (0.0,) * len(f.model))
-        T = self.temper
+        T, n = self.temper, len(f.model)
         evidence = f.log_evidence - self.reference.log_evidence
-        ordinary, small, trace = [], [], []
+        ordinary, small, trace = np.full((3, n), -np.inf)
+        pairs = np.zeros((2, n, n))
         for i, h in enumerate(f.model):
             if h.cause.name == "unknown":  # neighbouring coefficients are alike: its evidence is tempered as a whole
-                ordinary.append(-np.log(self.number) - UNKNOWN * (1 if getattr(h, "usual", False) else 2))
-                small.append(-np.inf)
-                trace.append(-np.inf)
+                ordinary[i] = -np.log(self.number) - UNKNOWN * (1 if getattr(h, "usual", False) else 2)
                 continue
             sigma = float(h.spread[h.magnitudes[0]])
             where = magnitudes_at(self.problem, f, i)
@@ -120,16 +128,35 @@ class ModelPosterior:
             if i in lost and u @ u > 0:
                 known = np.maximum(known, 2 * lost[i] / T / float(u @ u))
             many = np.log(h.alternatives)
-            ordinary.append(_slab(known, along, 1.0) - np.log(self.number) - many)
-            for part, width in ((small, IMPERFECTION), (trace, TRACE)):
-                width = float(np.hypot(width, looks_like.get(i, 0.0)))
-                part.append(_slab(known, along, width / sigma) + np.log(COMMON) - many)
-        o = np.array(ordinary)
-        real, ideal = (np.logaddexp(o, np.array(rest)) for rest in (small, trace))
-        log_real, log_ideal = real.sum() + min(0.0, self.real), ideal.sum() + min(0.0, -self.real)
+            ordinary[i] = _slab(known, along, 1.0) - np.log(self.number) - many
+            for part, pair, least in ((small, pairs[0], IMPERFECTION), (trace, pairs[1], TRACE)):
+                own = _slab(known, along, float(np.hypot(least, looks_like.get(i, 0.0))) / sigma)
+                part[i] = own + np.log(COMMON) - many
+                for (first, second), width in both_small.items():
+                    if first == i:
+                        pair[i, second] = min(_slab(known, along, float(np.hypot(least, width)) / sigma) - own, 0.0)
+        (real, effects_real), (ideal, effects_ideal) = (
+            _combined(ordinary, part, pair) for part, pair in ((small, pairs[0]), (trace, pairs[1]))
+        )
+        log_real, log_ideal = real + min(0.0, self.real), ideal + min(0.0, -self.real)
         both = float(np.logaddexp(log_real, log_ideal))
-        effects = np.exp(log_ideal - both + o - ideal) + np.exp(log_real - both + o - real)
+        effects = np.exp(log_ideal - both) * effects_ideal + np.exp(log_real - both) * effects_real
         return Judged(f, float(evidence / T + both), tuple(float(x) for x in effects))
+
+
+def _combined(effect: np.ndarray, imperfection: np.ndarray, pairs: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the log sum over which of n causes are effects and which are imperfections, and each one's probability of an effect.
+
+    Args:
+      effect, imperfection: log weights, shape (n,).
+      pairs: added for each two that are both imperfections, shape (n, n).
+    """
+    n = len(effect)
+    small = (np.arange(2**n)[:, None] >> np.arange(n)) % 2 == 1  # every combination, shape (2ⁿ, n)
+    log = np.where(small, imperfection, effect).sum(axis=1) + np.einsum("si,ij,sj->s", small, pairs, small)
+    most = log.max()
+    weight = np.exp(log - most)
+    return float(most + np.log(weight.sum())), (weight @ ~small) / weight.sum()
 
 
 def unexplained_size(problem: Problem, f: Fit, linear: Fit, index: int, effects: Sequence[float]) -> float:
@@ -142,7 +169,7 @@ def unexplained_size(problem: Problem, f: Fit, linear: Fit, index: int, effects:
     spread = problem.spread(f.model)
     for i, effect in enumerate(effects):
         if effect < EFFECT:
-            spread[magnitudes_at(problem, f, i)] = _HELD
+            spread[problem.place(f.model, i)] = _HELD
     share = contribution_of(problem, f, linear, index, spread).share
     return LOOKALIKE * size_of(problem, f, index) / max(share, 1e-12) ** 0.5
 

@@ -10,7 +10,6 @@ class LinkInertia(Cause):
     component = "link"
     description = "the link's inertia differs"
     parameters = (CauseParameter("scale", "1", (0.05, 20.0), ((1.5, 2.2),), neutral=1.0, magnitude=True),)
-    resonance = True
     scales = ("Jl",)
     adds = True
     multiple = 5.0

@@ -59,7 +59,10 @@ def run_arm(
     bolted = [scenario_of.mount(e.known_joint) for scenario_of, e in zip(scenario.arm, alone, strict=True)]
     known = [replace(one, record=_links(mounting)) for one, mounting in zip(joints, bolted, strict=True)]
     mjcf = plant.rigid(known)
-    middle = {name: float(np.median(e.position)) for name, e in zip(names, alone, strict=True)}
+    middle = {
+        name: float(np.median(e.command)) if e.scenario.mode == "position" else e.start
+        for name, e in zip(names, alone, strict=True)
+    }
     experiments = []
     for name, e in zip(names, alone, strict=True):
         others = {other: angle for other, angle in middle.items() if other != name}
@@ -69,10 +72,10 @@ def run_arm(
         experiments.append(replace(e, scenario=own, known=described))
     model = plant.build(joints, scenario.timestep)
     loop = ClosedLoop(model, [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)])
-    loop.advance(len(alone[0].position))
+    loop.advance(len(alone[0].command))
     for i, e in enumerate(experiments):
         e.check(loop, place=i)
-    done = [e.with_own_sensors(found) for e, found in zip(experiments, loop.simulations, strict=True)]
+    done = [e.completed(found) for e, found in zip(experiments, loop.simulations, strict=True)]
     angles = {name: np.ascontiguousarray(s.readings["link_position"]) for name, s in zip(names, done, strict=True)}
     runs = {}
     for i, (name, e, s) in enumerate(zip(names, experiments, done, strict=True)):

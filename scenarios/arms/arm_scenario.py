@@ -54,6 +54,8 @@ class JointInArm(Scenario):
     def _in_an_arm(self) -> JointInArm:
         if self.locked_rotor:
             raise ValueError("locked_rotor: expected a joint that can move, got one whose rotor is held")
+        if self.payloads:
+            raise ValueError("payloads: expected none on a joint of an arm (they would also load the joints before it)")
         for i, one in enumerate(self.disturbances):
             if one.lever != 0.0:
                 raise ValueError(

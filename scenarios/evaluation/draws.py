@@ -24,7 +24,7 @@ from ...models.calibration import Calibration
 from ...models.controller import Controller
 from ...sim.sensors import stream
 from ..experiment import Experiment
-from ..scenario import LAGGING, Disturbance, Scenario
+from ..scenario import LAGGING, Disturbance, Scenario, Waypoint
 
 TURNS = 3.0
 """Largest change of the start, in turns of the motor."""
@@ -48,14 +48,19 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
     if first < last <= scenario.duration:
         pace = min(pace, (scenario.duration - first) / (last - first))
     waypoints = [
-        w.model_copy(update={"time": first + pace * (w.time - first), "position": w.position + start})
-        for w in scenario.trajectory
+        w.model_copy(update={"time": first + pace * (w.time - first)} | _moved(w, start)) for w in scenario.trajectory
     ]
     pushes = [_varied_push(d, rng, scenario.duration) for d in scenario.disturbances]
     found: dict[str, Any] = {"trajectory": waypoints, "disturbances": pushes, "seed": seed}
+    if scenario.mode != "position":
+        found["start"] = (scenario.start or 0.0) + start
     if scenario.sensors_are_realistic and scenario.controller == LAGGING:
         found["controller"] = Controller().lagging(rng.uniform(0.0, LAG))
     return scenario.model_copy(update=found)
+
+
+def _moved(way: Waypoint, start: float) -> dict[str, float]:
+    return {} if way.position is None else {"position": way.position + start}
 
 
 def of_seed(scenario: Scenario, seed: int, vary: bool = True) -> Scenario:

@@ -195,9 +195,9 @@ class Design:
         """
         if self.study.vary:
             scenario = draws.varied(experiment.scenario, self.noise_seed(cell, seed))
-            position, velocity = scenario.commands()
+            command, rate = scenario.commands()
             experiment = replace(
-                experiment, scenario=scenario, position=position, velocity=velocity,
+                experiment, scenario=scenario, command=command, rate=rate,
                 external_torque=scenario.external_torque(),
             )  # fmt: skip
         record = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -74,6 +75,23 @@ def test_a_scenario_is_run(flexspline, measured, tmp_path):
     run = bode(flexspline, measured / "shaken.yaml", "--out", tmp_path / "a")
     recorded = bode(flexspline, measured / "measurement", "--out", tmp_path / "b")
     assert run["measured"] == recorded["measured"] and run["reference"] == "position_command"
+
+
+def test_the_report_of_an_excited_run_has_its_response(flexspline, measured, tmp_path):
+    """With the resonances of `bode`; a run without excitation has no such section."""
+    found = bode(flexspline, measured / "measurement", "--out", tmp_path / "bode")["measured"]
+    pages = []
+    for scenario in (measured / "shaken.yaml", "external_push"):
+        out = tmp_path / f"run{len(pages)}"
+        assert flexspline("run", scenario, "--out", out, "--set", "filters=[RAREKF]")[0] == 0
+        assert flexspline("report", out, "--out", tmp_path / "page.html")[0] == 0
+        pages.append((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert "Frequency response of shaken" in pages[0]
+    for kind, name in (("peaks", "resonances"), ("dips", "antiresonances")):
+        stated = re.search(f"{kind} at ([^H]*) Hz", pages[0]).group(1).split(", ")
+        np.testing.assert_allclose([float(x) for x in stated], found[name], rtol=5e-3)
+    assert pages[0].count('class="title"') == pages[1].count('class="title"') + 3
+    assert "Frequency response" not in pages[1]
 
 
 def test_without_a_current_it_is_refused(flexspline, measured, tmp_path):

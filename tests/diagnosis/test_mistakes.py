@@ -22,6 +22,7 @@ from flexspline.diagnosis.data.samples import jumps, parted
 from flexspline.diagnosis.data.time_offsets import SETTINGS, late_columns
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.trials.draw import Challenge, draw
+from flexspline.diagnosis.validate import validate
 from flexspline.models.arm import ArmSpec
 from flexspline.models.arm_dynamics import Arm
 from flexspline.models.errors import InputError, InputWarning
@@ -545,3 +546,22 @@ def test_mistakes_in_shared_examples(shared, label):
     sound = read_measurement(shared / "data" / "examples" / "bare" / "01")
     assert find_mistakes(sound, JOINT) == ()
     assert ALL[label].found(find_mistakes(hide(ALL[label], sound, JOINT, np.random.default_rng(SEED)), JOINT))
+
+
+@pytest.mark.parametrize("column", ["motor_current", "joint_torque"])
+def test_samples_at_a_limit_are_left_out(column):
+    """A drive that saturates, or a sensor's range: it costs these samples, and not the recording."""
+    r = recording()
+    limit = 0.85 * np.abs(r[column]).max()
+    spoilt = replace(r, columns={**r.columns, column: np.clip(r[column], -limit, limit)})
+    before, after = (validate(measurement(one), JOINT) for one in (r, spoilt))
+    assert [(m.name, m.severe) for m in after.mistakes] == [("clipped", False)]
+    left = 1 - len(after.recordings[0].time) / len(r.time)
+    print(
+        f"seed {SEED}: {100 * left:.1f} % left out; {before.residual[column].rms:.4g}, {after.residual[column].rms:.4g}"
+    )
+    assert 0.05 < left < 0.5
+    assert after.residual[column].rms == pytest.approx(before.residual[column].rms, rel=0.2)
+    with pytest.warns(InputWarning, match="beyond which nothing is read"):
+        estimated = flexspline.estimate(spoilt, JOINT, estimators=["current"])
+    assert len(estimated) == len(after.recordings[0].time)

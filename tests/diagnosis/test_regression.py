@@ -73,6 +73,24 @@ def test_torque_constant_where_a_sensor_was_read(rng, tmp_path):
     assert constant.beyond > 5
 
 
+def test_recordings_with_different_loads(rng, tmp_path):
+    """A bare output and a link: their gravity is in proportion to the described one, and rotor and link inertia part."""
+    joint = load_joint("test-joint")
+    recordings, rotor = [], 0.25
+    for name, link in (("bare", Mounting(inertia=0.02, gravity_moment=0.0)), ("link", LINK)):
+        time, theta, v, a = motion(rng, 40.0)
+        torque = 1.2 * link.gravity_moment * np.sin(theta) + (rotor + 1.8 * link.inertia) * a + 2.0 * np.sign(v)
+        current = torque / 6.03 + 0.01 * rng.standard_normal(len(time))
+        recordings.append(Recording(name, time, {"link_position": theta, "motor_current": current}, link=link))
+    (found,) = regressions(Measurement("made", tmp_path, tuple(recordings)), joint)
+    got = {c.means: c for c in found.coefficients if c.means}
+    wanted = {"gravity_moment": (10.8, 9.0), "link_inertia": (0.63, 0.35), "Fc": (0.02, 0.018)}
+    for name, (value, described) in wanted.items():
+        assert got[name].number == pytest.approx(value, rel=0.03), name
+        assert got[name].described == pytest.approx(described)
+    assert got["rotor_inertia"].number == pytest.approx(rotor, rel=0.05)
+
+
 def test_one_stroke_does_not_tell_friction_from_an_offset(tmp_path):
     """In one direction friction is a constant: one of the two shapes is left out, and it is said which."""
     joint = load_joint("test-joint")

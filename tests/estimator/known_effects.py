@@ -102,7 +102,7 @@ def simulate(model, *driven, **options) -> loop.Simulation:
     """Run the closed loop of one joint; further arguments as of `loop.Driven`."""
     joint = loop.Driven(*driven, **options)
     found = loop.ClosedLoop(model, (joint,))
-    found.advance(len(joint.position))
+    found.advance(len(joint.command))
     return found.simulation
 
 

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from flexspline.models.characteristics import characteristics, drive_gains
-from flexspline.models.joint import known_joints, load_joint
+from flexspline.models.files import parse
+from flexspline.models.joint import Joint, known_joints, load_joint
 from flexspline.models.laws import stribeck_friction
+from flexspline.scenarios.run import run_scenario
+from flexspline.scenarios.scenario import Scenario
 
 JOINT = load_joint("test-joint")
 
@@ -116,3 +119,29 @@ def test_hysteresis_and_backlash_widen_the_loop():
     wider = characteristics(copy)
     # Dahl friction F across the flexspline: at zero torque the spring holds F (1 − what has not turned round yet).
     assert wider.half_width - plain.half_width == pytest.approx(1.0 / JOINT.numbers["K1"].value, rel=0.2)
+
+
+@pytest.mark.parametrize("torque", [-8.0, 8.0], ids=["driving", "back-driving"])
+def test_efficiency_is_that_of_the_simulated_joint(torque):
+    """Power at the link over power at the motor, or the reverse, at a constant speed against a constant torque."""
+    described = load_joint("test-joint")
+    data = described.model_dump(exclude_none=True)
+    parameters = {"coefficient": {"value": 0.1}}
+    data["effects"] = [{"name": "load_dependent_friction", "parameters": parameters}]
+    joint = parse(data, Joint, "here")
+    found = characteristics(joint)
+    k = 1
+    scenario = parse(
+        {"name": "steady", "duration": 5, "mounting": "no_load", "filters": ["current"],
+         "trajectory": [{"time": 0, "velocity": 0}, {"time": 1, "velocity": found.efficiency_speed[k]}],
+         "disturbances": [{"kind": "step", "start": 1, "duration": 4, "torque": torque}]}, Scenario, "here",
+    ).with_joints({"joint": joint})  # fmt: skip
+    run = run_scenario(scenario)
+    p = joint.record()[0]
+    rest = slice(2000, None)
+    motor = (p["Kt"] * run.truth("motor_current") * run.truth("motor_velocity"))[rest].mean()
+    link = (run.truth("joint_torque") * run.truth("link_velocity"))[rest].mean()
+    predicted = found.driving if torque < 0 else found.back_driving
+    expected = link / motor if torque < 0 else motor / link
+    assert np.interp(8.0, found.torque, predicted[k]) == pytest.approx(expected, abs=0.01)
+    assert 0.3 < expected < 0.95

@@ -102,11 +102,11 @@ def commanded(experiment: Experiment, simulation, torque: np.ndarray) -> np.ndar
     p = experiment.record[0]
     c = experiment.scenario.controller.record(p, CONTROL_PERIOD, True)[0]
     motor, drive = simulation.readings["motor_position"], np.zeros(3)
-    drive[0] = c["gear"] * experiment.position[0]
+    drive[0] = c["gear"] * experiment.command[0]
     dt = round(CONTROL_PERIOD / experiment.scenario.timestep) * experiment.scenario.timestep
     found = np.zeros(len(torque))
     for k in range(len(torque)):
-        found[k] = control(experiment.position[k], experiment.velocity[k], motor[k], torque[k], drive, dt, c)
+        found[k] = control(experiment.command[k], experiment.rate[k], motor[k], torque[k], drive, dt, c)
     return found
 
 

@@ -77,10 +77,10 @@ def test_what_feeds_back_says_the_same_afterwards(name):
     from flexspline.sim.drive import control
 
     c = chosen.controller.record(experiment.record[0], CONTROL_PERIOD, True)[0]
-    state = np.array([c["gear"] * experiment.position[0], 0.0, 0.0])
+    state = np.array([c["gear"] * experiment.command[0], 0.0, 0.0])
     motor = simulation.readings["motor_position"]
     expected = [
-        control(experiment.position[k], experiment.velocity[k], motor[k], found.mean[k], state, CONTROL_PERIOD, c)
+        control(experiment.command[k], experiment.rate[k], motor[k], found.mean[k], state, CONTROL_PERIOD, c)
         for k in range(len(motor))
     ]
     assert np.array_equal(expected, simulation.command)

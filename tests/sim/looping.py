@@ -14,7 +14,7 @@ from flexspline.sim.sensors import noise, sensor_records
 def simulate_together(model, joints) -> tuple[Simulation, ...]:
     """Run the closed loops of a model's joints, `Driven` each, from the first tick to the last."""
     loop = ClosedLoop(model, joints)
-    loop.advance(len(joints[0].position))
+    loop.advance(len(joints[0].command))
     return loop.simulations
 
 

@@ -221,7 +221,7 @@ def alone(one, mounting, swing):
     model = plant.build(JOINT, mounting, record=one.record)
     d = driven(one, *swing)
     return simulate(
-        model, d.record, d.position, d.velocity, d.external_torque, d.sensors, d.noise, d.controller
+        model, d.record, d.command, d.rate, d.external_torque, d.sensors, d.noise, d.controller
     )  # fmt: skip
 
 

@@ -15,11 +15,13 @@ import pytest
 from driving import JOINT, record_of
 from looping import motion, run
 
+from flexspline.models.controller import Controller
 from flexspline.models.joint_parts import AnalogSpec, EncoderSpec
 from flexspline.models.signals import READINGS, SENSED, WRENCH, Signals
 from flexspline.models.step import SAMPLE, CompiledStep, step_of
 from flexspline.sim import plant
-from flexspline.sim.sensors import noise
+from flexspline.sim.loop import CONTROL_PERIOD, Change, ClosedLoop, Driven
+from flexspline.sim.sensors import noise, sensor_records
 
 QUIET = {"motor_encoder": EncoderSpec(bits=38), "link_encoder": EncoderSpec(bits=38)} | {
     name: AnalogSpec() for name in ("motor_current", "motor_torque", "joint_torque", "temperature")
@@ -326,3 +328,21 @@ def test_imperfections_of_every_sensor_at_once():
     assert added["joint_torque"].std() == pytest.approx(np.hypot(0.02, 0.012), rel=0.05)
     current = through(s.truth["motor_current"] + 6e-3 * np.sin(24 * motor + 1.0), 150.0)
     np.testing.assert_allclose(s.readings["motor_current"], current + added["motor_current"], atol=1e-9)
+
+
+def test_a_change_to_the_same_numbers_changes_nothing():
+    """Another model of the same numbers in the middle of the motion: the same to the bit."""
+    position, velocity, external = motion()
+    record = JOINT.record(JOINT.mount("link"))
+    driven = Driven(
+        record, position, velocity, external, sensor_records(JOINT, 0.0, CONTROL_PERIOD),
+        noise(JOINT, 3, len(position), CONTROL_PERIOD), Controller().record(record[0], CONTROL_PERIOD, False),
+    )  # fmt: skip
+    models = [plant.build(JOINT, JOINT.mount("link")) for _ in range(2)]
+    found = []
+    for changes in ((), (Change(700, models[1], record),)):
+        loop = ClosedLoop(models[0], (driven,), changes)
+        loop.advance(len(position))
+        found.append(loop.simulation)
+    assert found[0].truth.tobytes() == found[1].truth.tobytes()
+    assert found[0].readings.tobytes() == found[1].readings.tobytes()

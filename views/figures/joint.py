@@ -45,11 +45,14 @@ def joint_figure(
         f"current limit and {c.no_load_speed:.3g} rad/s at its supply. {' '.join(joint.description.split())}"
     )
     lines = [line for what, names in seen.items() if names for line in _lines(what, names)]
-    figure, rows = sheet(joint.name, caption, [2.3, 2.3, 0.16 * len(lines) - 0.2], columns=2, shared=())
-    (stiffness, loop), (friction, lowest), (text, empty) = rows
+    figure, rows = sheet(joint.name, caption, [2.3, 2.3, 2.0, 0.16 * len(lines) - 0.2], columns=2, shared=())
+    (stiffness, loop), (friction, lowest), (driving, back_driving), (text, empty) = rows
     _stiffness(stiffness, c, rated)
     _loop(loop, c)
     _friction(friction, c)
+    _efficiency(driving, "Efficiency of driving", c, c.driving, c.driving_deviation)
+    _efficiency(back_driving, "Efficiency of back-driving", c, c.back_driving, c.back_driving_deviation)
+    driving.legend(loc="lower right")
     if sheet_of_gear is not None:
         N = joint.numbers["N"].value
         for curve in sheet_of_gear.running_torque:
@@ -110,6 +113,15 @@ def _friction(axes: Axes, c: Characteristics) -> None:
     axes.plot(speed, friction, color=EXTERNAL)
     axes.set(title="Friction", xlabel="speed of the joint [rad/s]", ylabel="torque [N·m]", xscale="log", ylim=(0, None))
     axes.set_xlim(speed[0], speed[-1])
+
+
+def _efficiency(axes: Axes, title: str, c: Characteristics, values: np.ndarray, deviation: np.ndarray) -> None:
+    for k, (speed, own, std) in enumerate(zip(c.efficiency_speed, 100 * values, 100 * deviation, strict=True)):
+        axes.fill_between(
+            c.torque, np.maximum(own - std, 0), np.minimum(own + std, 100), color=f"C{k}", alpha=_BAND, lw=0
+        )
+        axes.plot(c.torque, own, color=f"C{k}", label=f"{speed:.2g} rad/s")
+    axes.set(title=title, xlabel="load [N·m]", ylabel="efficiency [%]", xlim=(0, None), ylim=(0, 100))
 
 
 def _resonances(axes: Axes, c: Characteristics, rated: float) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from ...models.controller import MODES
 from ..style import COMMAND, EXTERNAL, SENSOR, TRUTH
 from .legends import legend
 from .ruling import ruled
@@ -26,21 +27,24 @@ def overview(run: Run) -> Figure:
     if not external:
         del heights["external"]
     link = run.truth("link_position")
-    following = 1e3 * (run.position_command - link)
+    mode = run.scenario.mode
+    scale, unit = (1.0, MODES[mode]) if mode == "torque" else (1e3, f"m{MODES[mode]}")
+    following = scale * run.command_error
     kept = settled(run)
     caption = (
-        f"{run.scenario.description.replace('`', '')} Feedback of the torque: {run.scenario.feedback}. Position error "
-        f"after {run.scenario.transient:g} s: RMS {1e3 * run.metrics['position_error']['rms']:.3f}, "
-        f"largest {peak(following[kept]):.3f} mrad. "
+        f"{run.scenario.description.replace('`', '')} Feedback of the torque: {run.scenario.feedback}. "
+        f"{mode.capitalize()} error after {run.scenario.transient:g} s: RMS {scale * run.metrics[f'{mode}_error']['rms']:.3f}, "
+        f"largest {peak(following[kept]):.3f} {unit}. "
         f"{name} {against(run, name)}."
     )
     figure, rows = sheet(f"Overview  ·  {run.name}", caption, list(heights.values()))
     at = {part: axes for part, (axes,) in zip(heights, rows, strict=True)}
     line(at["position"], run.time, np.degrees(link), TRUTH, "link")
-    line(at["position"], run.time, np.degrees(run.position_command), COMMAND, "command", ls="--")
+    if run.position_command is not None:
+        line(at["position"], run.time, np.degrees(run.position_command), COMMAND, "command", ls="--")
     at["position"].set_ylabel("position [°]")
-    line(at["following"], run.time, following, TRUTH, "command − link")
-    at["following"].set_ylabel("error [mrad]")
+    line(at["following"], run.time, following, TRUTH, "command − motor" if mode == "torque" else "command − link")
+    at["following"].set_ylabel(f"error [{unit}]")
     line(at["current"], run.time, run.reading("motor_current"), SENSOR, "motor current, read", lw=0.7)
     line(at["current"], run.time, run.truth("motor_current"), TRUTH, "true", lw=0.9)
     at["current"].set_ylabel("current [A]")

@@ -14,6 +14,7 @@ import numpy as np
 from ...estimator.estimator import KnownJoint
 from ...models import plugins
 from ...models.parameters import as_floats
+from ...models.recording import Measurement
 from ..numbers import number
 from ..report import listed
 from ..style import FILTERS
@@ -21,6 +22,7 @@ from ..tables import COLUMNS, RAW_MODEL, doubts, marked, misjudged
 from .chart import Chart, limits
 from .provenance import fingerprint
 from .rendering import render
+from .response_charts import response_context
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -223,7 +225,15 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
         ],
         "motion": [("after", "true"), ("measured", "measured"), ("backward", "external")],
         "charts": _charts(run, kinds),
+        "response": _response(run),
     }
+
+
+def _response(run: Run) -> dict[str, Any] | None:
+    from ...diagnosis.bode import excited_response
+
+    measurement = Measurement(run.name, Path(run.name), (run.as_recording(),))
+    return response_context(excited_response(measurement, run.known_joint))
 
 
 def _span(run: Run) -> str:
@@ -252,7 +262,8 @@ def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:
         error.line(time, values, f"{kinds[name]} thin")
     angle = np.degrees(run.truth("link_position"))
     position = Chart(x, limits(angle, 0.0), "link angle", ylabel="°", width=_WIDTH, height=150)
-    position.line(time, np.degrees(run.position_command), "measured thin")
+    if run.position_command is not None:
+        position.line(time, np.degrees(run.position_command), "measured thin")
     position.line(time, angle, "after")
     current = run.reading("motor_current")
     drive = Chart(x, limits(current, 0.1), "motor current", "", "A", width=_WIDTH, height=130)

@@ -42,8 +42,8 @@ def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
             send_series(stream, f"torque/{place}", time, truth, name, color)
             for label, found in run.estimates.items():
                 send_series(stream, f"error/{_entity(label)}/{place}", time, found.mean - truth, name, color)
-            error = 1e3 * (run.truth("link_position") - run.position_command)
-            send_series(stream, f"position_error/{place}", time, error, name, color)
+            if run.position_command is not None:
+                send_series(stream, f"position_error/{place}", time, -1e3 * run.command_error, name, color)
             send_series(stream, f"current/{place}", time, run.reading("motor_current"), name, color)
             frames = thin_frames(time)
             columns = [rr.TimeColumn(TIMELINE, duration=time[frames])]

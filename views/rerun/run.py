@@ -200,12 +200,15 @@ def _send_torsion(stream: rr.RecordingStream, run: Run, near: np.ndarray, points
 def _send_motion(stream: rr.RecordingStream, run: Run, points: int) -> None:
     link = run.truth("link_position")
     send = [
-        ("position/command", np.degrees(run.position_command), "command", COMMAND),
         ("position/link", np.degrees(link), "link", TRUTH),
-        ("position_error", 1e3 * (run.position_command - link), "command − link", TRUTH),
         ("current/read", run.reading("motor_current"), "read", SENSOR),
         ("current/true", run.truth("motor_current"), "true", TRUTH),
     ]
+    if run.position_command is not None:
+        send += [
+            ("position/command", np.degrees(run.position_command), "command", COMMAND),
+            ("position_error", 1e3 * run.command_error, "command − link", TRUTH),
+        ]
     for path, values, name, color in send:
         send_series(stream, path, run.time, values, name, color, points=points)
 

@@ -330,7 +330,7 @@ def test_joints_within_tolerance(tmp_path):
     drawn = {(c.scenario, s): design.drawn(c, s, design.experiment(c)) for c in cells for s in (4, 5)}
     stiffness = {key: record[0]["K2"] for key, (_, record) in drawn.items()}
     assert stiffness["link_sweep", 4] == stiffness["no_load", 4] != stiffness["link_sweep", 5]
-    starts = {key: experiment.position[0] for key, (experiment, _) in drawn.items()}
+    starts = {key: experiment.command[0] for key, (experiment, _) in drawn.items()}
     assert len(set(starts.values())) == 4
     exact = design.drawn(design.cells[0], 4, design.experiment(design.cells[0]))
     assert exact[1].tobytes() == design.experiment(design.cells[0]).record.tobytes()

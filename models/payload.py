@@ -1,0 +1,106 @@
+"""Payloads that a link carries for a time: masses that are picked up and put down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from .arm import Load
+from .files import Strict
+from .joint_parts import Mounting
+from .motion import differentiated
+from .parameters import GRAVITY
+
+
+class PayloadSpec(Strict):
+    """A payload on the link."""
+
+    mass: Annotated[float, Field(ge=0)]
+    """[kg]."""
+    distance: Annotated[float, Field(ge=0)]
+    """Of its centre from the axis [m]."""
+    angle: float = 0.0
+    """Of it against the link's own centre of mass [rad]."""
+    inertia: Annotated[float, Field(ge=0)] = 0.0
+    """About its own centre [kg·m²]."""
+
+    @property
+    def joint_inertia(self) -> float:
+        """Inertia about the joint's axis [kg·m²]."""
+        return self.mass * self.distance**2 + self.inertia
+
+    @property
+    def gravity_moment(self) -> float:
+        """Gravity moment at horizontal [N·m]."""
+        return self.mass * GRAVITY * self.distance
+
+    def on(self, link: Mounting) -> Mounting:
+        """Return the link with the payload: m g d adds to the gravity moment as a vector, m d² and `inertia` to the inertia."""
+        whole = link.gravity_moment + self.gravity_moment * np.exp(1j * self.angle)
+        turned = float(np.angle(whole)) if abs(whole) > 0 else 0.0
+        return Mounting(
+            inertia=link.inertia + self.joint_inertia,
+            gravity_moment=float(abs(whole)),
+            gravity_angle=link.gravity_angle + turned,
+        )
+
+
+class CarriedMass(PayloadSpec):
+    """A payload that the link picks up and puts down.
+
+    The link's velocity does not jump: the payload has the link's velocity when it is picked up and when it is put down.
+    """
+
+    start: Annotated[float, Field(ge=0)]
+    """It is picked up [s]."""
+    end: float | None = None
+    """It is put down [s]; never by default."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> CarriedMass:
+        if self.end is not None and self.end <= self.start:
+            raise ValueError(f"end: expected a time after {self.start:g} s, got {self.end:g} s")
+        return self
+
+    def carried(self, time: np.ndarray) -> np.ndarray:
+        """Return whether the link carries it at times [s], shape (n,)."""
+        return (time >= self.start) & (time < (np.inf if self.end is None else self.end))
+
+
+def carrying(record: np.ndarray, payloads: Sequence[CarriedMass]) -> np.ndarray:
+    """Return a joint's parameter record, shape (1,), with payloads on the rigid part of its link."""
+    record = record.copy()
+    p = record[0]
+    flexible = p["flexible_share"] * p["Jl"]
+    moment = complex(p["Mg"])
+    for one in payloads:
+        p["Jl"] += one.joint_inertia
+        moment += one.gravity_moment * np.exp(1j * one.angle)
+    p["Mg"] = abs(moment)
+    p["gravity_angle"] += np.angle(moment)
+    p["flexible_share"] = flexible / p["Jl"]
+    return record
+
+
+def load_of(
+    payloads: Sequence[CarriedMass], link: Mounting, time: np.ndarray, position: np.ndarray, parts: Sequence[slice]
+) -> Load:
+    """Return the effect of payloads on the link, at each sample.
+
+    Args:
+      payloads: their times count as `time` does.
+      link: load of the link without them.
+      time: shape (n,) [s]; position: of the link, shape (n,) [rad].
+      parts: samples between gaps.
+    """
+    inertia, torque, acceleration = np.full(len(time), link.inertia), np.zeros(len(time)), np.zeros(len(time))
+    for one in payloads:
+        on = one.carried(time)
+        inertia += on * one.joint_inertia
+        torque -= on * one.gravity_moment * np.sin(position + link.gravity_angle + one.angle)
+    for part in parts:
+        acceleration[part] = differentiated(time[part], position[part])[2]
+    return Load(inertia, torque, acceleration)
