@@ -92,10 +92,15 @@ def _diagnosis(folder: Path) -> str:
 
 
 def _runs(folders: list[Path], arm: Path | None = None) -> str:
+    from ..diagnosis.bode import excited_response
+    from ..models.recording import Measurement
     from ..scenarios.run_folder import load_run
     from ..views.pages.run import runs_html
 
-    return runs_html([(load_run(folder), folder) for folder in folders], arm)
+    runs = [load_run(folder) for folder in folders]
+    data = [Measurement(run.name, folder, (run.as_recording(),)) for run, folder in zip(runs, folders, strict=True)]
+    responses = [excited_response(one, run.known_joint) for one, run in zip(data, runs, strict=True)]
+    return runs_html([*zip(runs, folders, strict=True)], arm, responses)
 
 
 def _sweep(folder: Path) -> str:

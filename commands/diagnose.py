@@ -101,10 +101,12 @@ def command(
 
             shown = Report(data, described, found, gained, found.plan, out)
             if report:
+                from ..diagnosis.bode import excited_response
                 from ..views.pages import write_report
                 from ..views.rerun import write_rerun_report
 
-                write_report(shown, folder / "report.html")
+                response = excited_response(data, found.extended) if found.problem is not None else None
+                write_report(replace(shown, response=response), folder / "report.html")
                 write_rerun_report(shown, folder / "report.rrd")
     if as_json:
         print(answer)

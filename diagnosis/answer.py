@@ -10,6 +10,7 @@ import numpy as np
 
 from ..models.joint import Joint
 from ..models.notebook import html_table, paragraph
+from ..models.recording import Measurement
 from .data.mistakes import Mistake
 from .fit.regions import Region
 from .fit.residual import Problem
@@ -124,6 +125,7 @@ class Diagnosis:
       plan: what to measure next (`planning.plan`), if asked for.
       held_out: how data were held out.
       regressions: plain regressions of each torque channel.
+      used: the parts of the measurement that were diagnosed; None without a diagnosis.
       drive_torque: torque constant of the drive [N·m/A] if it reported a torque and no current, else 0. The drive's balance
         is then `motor_torque` in `residual` [N·m].
       complete: whether time sufficed for all stages; seconds: run time.
@@ -156,6 +158,7 @@ class Diagnosis:
     drive_torque: float = 0.0
     complete: bool = True
     seconds: float = 0.0
+    used: Measurement | None = field(default=None, repr=False)
 
     @property
     def reason(self) -> str:

@@ -21,6 +21,7 @@ from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.recording import Measurement
 from .data.segments import CURRENT, STEP, Segment, segments
+from .data.stretches import most_telling
 from .fit.replay import readings
 
 _WINDOW = 4.0  # s: of a spectrum, or a quarter of the longest segment
@@ -79,7 +80,7 @@ class Response:
 def excited_response(measurement: Measurement, joint: Joint) -> Response | None:
     """Return the response (`response`) if a quarter of its frequencies is coherent; else None."""
     try:
-        found = response(measurement, joint)
+        found = response(most_telling(measurement), joint)
     except InputError:
         return None
     return found if np.mean(found.coherent) >= _EXCITED else None
@@ -112,6 +113,8 @@ def response(measurement: Measurement, joint: Joint) -> Response:
         since = r.time - r.time[0]
         current = np.interp(s.time, since, _current(s, r, joint))
         own = readings(s, joint.record(s.mounting))[:, CURRENT]
+        if not np.isfinite(own).all():
+            raise InputError(f"{measurement.path}: the joint cannot follow the motion of {s.name}: is it in rad?")
         raw = np.interp(s.time, since, r["motor_position"])
         ref = np.interp(s.time, since, r["position_command"]) if reference else current
         for name, a, b in (

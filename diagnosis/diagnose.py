@@ -99,7 +99,7 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     if zeros or all(pushed(r) for r in measurement.recordings) or small.share == 0.0 or _rotor_unknown(problem, judged):
         surest = ANSWER.unsure
     conclusion = Conclusion(problem, found, judged, final, small, missing, undetermined, alike, surest, zeros)
-    return replace(answer_of(conclusion, measurement), mistakes=mistakes, regressions=plain)
+    return replace(answer_of(conclusion, measurement), mistakes=mistakes, regressions=plain, used=measurement)
 
 
 def _search(

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +15,7 @@ from .tables import markdown_table
 
 if TYPE_CHECKING:
     from ..diagnosis.answer import Diagnosis, Finding
+    from ..diagnosis.bode import Response
     from ..diagnosis.improvement import Improvement
     from ..diagnosis.planning import Plan
     from ..models.joint import Joint
@@ -34,6 +34,7 @@ class Report:
       measurement, joint: the measurement, and the description that the diagnosis started from.
       diagnosis, improvement, plan: results; None where they were not asked for or not computed.
       folder: of the report, as one would type it; None where it is not known.
+      response: frequency response, measured and of the extended joint; None without enough excitation.
     """
 
     measurement: Measurement
@@ -42,13 +43,12 @@ class Report:
     improvement: Improvement | None = None
     plan: Plan | None = None
     folder: Path | None = None
+    response: Response | None = None
 
-    @cached_property
+    @property
     def used(self) -> Measurement:
-        """The parts of the measurement that a diagnosis uses; its segments count these recordings."""
-        from ..diagnosis.data.stretches import most_telling
-
-        return most_telling(self.measurement)
+        """The parts of the measurement that the diagnosis used; its segments count these recordings."""
+        return self.diagnosis.used or self.measurement
 
 
 def verdict_sentence(d: Diagnosis) -> str:

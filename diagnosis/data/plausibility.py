@@ -91,7 +91,9 @@ def motion_of(recording: Recording) -> SmoothedChannels | None:
     time = recording.time - recording.time[0]
     interval = float(np.median(np.diff(time)))
     edges = [0, *(np.flatnonzero(np.diff(time) > max(GAP, 5 * interval)) + 1).tolist(), len(time)]
-    recorded = sum(float(time[b - 1] - time[a]) for a, b in pairwise(edges))  # without gaps: a log may be bursts far apart
+    recorded = sum(
+        float(time[b - 1] - time[a]) for a, b in pairwise(edges)
+    )  # without gaps: a log may be bursts far apart
     step = max(0.02, interval, recorded / SETTINGS.samples)
     names = [name for name in _CHANNELS if name in recording]
     columns = [recording[name] for name in names]

@@ -565,3 +565,13 @@ def test_samples_at_a_limit_are_left_out(column):
     with pytest.warns(InputWarning, match="beyond which nothing is read"):
         estimated = flexspline.estimate(spoilt, JOINT, estimators=["current"])
     assert len(estimated) == len(after.recordings[0].time)
+
+
+def test_bursts_far_apart_are_looked_at():
+    """A log of short bursts: the time between them is no part of its motion."""
+    r = recording()
+    rows = np.flatnonzero(r.time % 2.0 < 1.0)
+    bursts = r.at(rows, r.time[rows] + 600.0 * np.floor(r.time[rows] / 2.0))
+    assert find_mistakes(measurement(bursts), JOINT) == ()
+    late = replace(bursts, columns={**bursts.columns, "motor_position": np.rad2deg(bursts["motor_position"])})
+    assert [(m.name, m.column) for m in find_mistakes(measurement(late), JOINT)] == [("unit", "motor_position")]

@@ -414,9 +414,10 @@ def test_curves_of_a_long_measurement_are_of_the_recordings_that_are_named(repor
     more = {"joint_torque": one["joint_torque"] + 3.0, "motor_current": one["motor_current"] + 3.0}
     loaded = replace(one, name="loaded", columns={**one.columns, **more})
     long = replace(report.measurement, recordings=(*same, loaded))
-    problem = Problem(*segments(list(most_telling(long).recordings), report.joint), report.joint)
+    used = most_telling(long)
+    problem = Problem(*segments(list(used.recordings), report.joint), report.joint)
     zeros = [np.zeros((len(segment.at), 3)) for segment in problem.segments]
-    found = replace(report.diagnosis, problem=problem, before=zeros, after=zeros)
+    found = replace(report.diagnosis, problem=problem, before=zeros, after=zeros, used=used)
     (row,) = [row for row in overlays(Report(long, report.joint, found)) if row[0].channel == "joint_torque"]
     assert len(row) < 11 and "loaded" in {o.name for o in row}
     named = {r.name: r for r in long.recordings}

@@ -82,8 +82,6 @@ def write_report(report: Report, path: Path) -> Path:
 
 def html(report: Report) -> str:
     """Return the page as text: one file without references to others."""
-    from ...diagnosis.bode import excited_response
-
     d, gained, recordings = report.diagnosis, report.improvement, report.measurement.recordings
     found, valid = balances(report), d.extended.valid
     rows = [Compared(*row) for row in held_out_rows(d, None)]
@@ -128,7 +126,7 @@ def html(report: Report) -> str:
         "overlays": residual_charts.over_time(overlays(report)),
         "main_variable": residual_charts.main_variable(found),
         "balances": residual_charts.by_variable(found),
-        "measured_response": response_context(excited_response(report.measurement, d.extended)),
+        "measured_response": response_context(report.response),
         "channels": rows,
         "valid": [
             (name, *(number(x, 3) for x in getattr(valid, field)), unit) for name, field, unit in ranges if valid is not None

@@ -14,7 +14,6 @@ import numpy as np
 from ...estimator.estimator import KnownJoint
 from ...models import plugins
 from ...models.parameters import as_floats
-from ...models.recording import Measurement
 from ..numbers import number
 from ..report import listed
 from ..style import FILTERS
@@ -25,6 +24,7 @@ from .rendering import render
 from .response_charts import response_context
 
 if TYPE_CHECKING:
+    from ...diagnosis.bode import Response
     from ...scenarios.run import Run
 
 _WIDTH = 540
@@ -32,14 +32,17 @@ _NEAR = 1.25
 """Errors within this ratio are equal, as the noise of a run is drawn once."""
 
 
-def runs_html(runs: Sequence[tuple[Run, Path]], arm: Path | None = None) -> str:
+def runs_html(
+    runs: Sequence[tuple[Run, Path]], arm: Path | None = None, responses: Sequence[Response | None] = ()
+) -> str:
     """Return the page as text: one file without references to others.
 
     Args:
       runs: with their folders, each of another scenario.
       arm: folder of an arm's run, if `runs` are its joints, from the base to the tip.
+      responses: frequency response of each run; None without enough excitation.
     """
-    return render("run.html.j2", _context(runs, arm))
+    return render("run.html.j2", _context(runs, arm, responses or [None] * len(runs)))
 
 
 def line_kinds(names: Sequence[str]) -> dict[str, str]:
@@ -49,10 +52,15 @@ def line_kinds(names: Sequence[str]) -> dict[str, str]:
     return own | {name: next(spare) for name in names if name not in own}
 
 
-def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, Any]:
+def _context(
+    runs: Sequence[tuple[Run, Path]], arm: Path | None, responses: Sequence[Response | None]
+) -> dict[str, Any]:
     names = list(dict.fromkeys(name for run, _ in runs for name in run.estimates))
     kinds = line_kinds(names)
-    scenarios = [_scenario(run, folder, kinds, arm is not None) for run, folder in runs]
+    scenarios = [
+        _scenario(run, folder, kinds, arm is not None) | {"response": response_context(response)}
+        for (run, folder), response in zip(runs, responses, strict=True)
+    ]
     title = " and ".join(run.name for run, _ in runs) if len(runs) < 3 else f"{len(runs)} scenarios"
     return {
         "title": title if arm is None else arm.resolve().name,
@@ -225,15 +233,7 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
         ],
         "motion": [("after", "true"), ("measured", "measured"), ("backward", "external")],
         "charts": _charts(run, kinds),
-        "response": _response(run),
     }
-
-
-def _response(run: Run) -> dict[str, Any] | None:
-    from ...diagnosis.bode import excited_response
-
-    measurement = Measurement(run.name, Path(run.name), (run.as_recording(),))
-    return response_context(excited_response(measurement, run.known_joint))
 
 
 def _span(run: Run) -> str:
