@@ -573,5 +573,5 @@ def test_bursts_far_apart_are_looked_at():
     rows = np.flatnonzero(r.time % 2.0 < 1.0)
     bursts = r.at(rows, r.time[rows] + 600.0 * np.floor(r.time[rows] / 2.0))
     assert find_mistakes(measurement(bursts), JOINT) == ()
-    late = replace(bursts, columns={**bursts.columns, "motor_position": np.rad2deg(bursts["motor_position"])})
-    assert [(m.name, m.column) for m in find_mistakes(measurement(late), JOINT)] == [("unit", "motor_position")]
+    milli = replace(bursts, columns={**bursts.columns, "motor_current": 1e3 * bursts["motor_current"]})
+    assert [(m.name, m.column) for m in find_mistakes(measurement(milli), JOINT)] == [("unit", "motor_current")]
