@@ -8,7 +8,7 @@ from pathlib import Path
 
 import flexspline as fs
 from flexspline.diagnosis.planning import experiments, perform
-from flexspline.models.joint import Effect, Estimate
+from flexspline.models.joint_parts import Effect, Estimate
 
 HIDDEN = "backlash"
 joint = fs.load_joint("test-joint")
