@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..estimator.conditioning import Conditioned
 from ..models import causes
 from ..models.recording import Measurement
 from .answer import Finding, ParameterEstimate
@@ -22,7 +23,9 @@ from .search.calibrate import CHANCE
 from .search.contribution import contribution_of, excess, noise_square, size_of, without_effect
 
 
-def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[Finding], list[Finding]]:
+def findings_of(
+    conclusion: Conclusion, measurement: Measurement, conditioned: Sequence[Conditioned]
+) -> tuple[list[Finding], list[Finding]]:
     """Return causes and minor effects of the final model, the most important first.
 
     An effect is minor if it is more probably an imperfection of the kind that every real joint has.
@@ -64,9 +67,8 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
     if len(findings) > 1:
         indices = list(findings)
         without = [extended(problem, without_effect(problem, final, linear, i), problem.joint) for i in indices]
-        gained = dict(
-            zip(indices, removed(measurement, extended(problem, final, problem.joint), without), strict=False)
-        )
+        whole_joint = extended(problem, final, problem.joint)
+        gained = dict(zip(indices, removed(measurement, whole_joint, without, conditioned), strict=False))
         whole = total + sum(gained.values())
         for i, g in gained.items():
             both = float(np.hypot(contributions[i], g**0.5))

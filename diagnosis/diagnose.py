@@ -91,7 +91,7 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         judged, again = min(fits, key=lambda one: _unseen(problem, one[0]))
         judged, final = _inflated(problem, judged), _inflated(problem, again(problem.with_held_out(), found.best))
     progress("regions that a fit has not seen", 0.97)
-    no_worse = serves(measurement, joint)
+    no_worse = serves(measurement, joint, conditioned)
     small = shrunk(problem, final, lambda f: no_worse(extended(problem, f, joint)))
     undetermined, alike = _limits(problem, found, final, offered, missing)
     surest, zeros = ANSWER.surest, _zeros(measurement, problem, final)
@@ -99,7 +99,9 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     if zeros or all(pushed(r) for r in measurement.recordings) or small.share == 0.0 or _rotor_unknown(problem, judged):
         surest = ANSWER.unsure
     conclusion = Conclusion(problem, found, judged, final, small, missing, undetermined, alike, surest, zeros)
-    return replace(answer_of(conclusion, measurement), mistakes=mistakes, regressions=plain, used=measurement)
+    return replace(
+        answer_of(conclusion, measurement, conditioned), mistakes=mistakes, regressions=plain, used=measurement
+    )
 
 
 def _search(

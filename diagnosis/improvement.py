@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..estimator.conditioning import Conditioned, condition
+from ..estimator.conditioning import Conditioned
 from ..estimator.offline import Estimates, estimate_recording
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
@@ -138,10 +138,10 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
     )  # fmt: skip
 
 
-def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
-    """Whether estimators do no worse with another joint than with this one: geometric mean of the ratios of errors of `MAIN` over
-    all that was measured. Any does where nothing was measured to hold estimates against."""
-    sensed = _conditioned(measurement, joint)
+def serves(measurement: Measurement, joint: Joint, conditioned: Sequence[Conditioned]) -> Callable[[Joint], bool]:
+    """Return a test whether estimators do no worse with another joint than with this one: geometric mean of the ratios of errors
+    of `MAIN`. It is always true if no torque was measured. `conditioned`: the measurement's recordings."""
+    sensed = _with_torque(measurement, conditioned)
     before = _errors_with(sensed, joint)
 
     def no_worse(other: Joint) -> bool:
@@ -152,10 +152,12 @@ def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
     return no_worse
 
 
-def removed(measurement: Measurement, whole: Joint, without: Sequence[Joint]) -> list[float]:
-    """Mean square of the estimators' error that a joint has less than each of others, [N·m]²: mean over `MAIN`, and all that was
-    measured. Empty where no torque was."""
-    sensed = _conditioned(measurement, whole)
+def removed(
+    measurement: Measurement, whole: Joint, without: Sequence[Joint], conditioned: Sequence[Conditioned]
+) -> list[float]:
+    """Return the mean square of the estimators' error that a joint has less than each of others, [N·m]²: mean over `MAIN`. It is
+    empty if no torque was measured. `conditioned`: the measurement's recordings."""
+    sensed = _with_torque(measurement, conditioned)
     with ThreadPoolExecutor(2) as pool:
         best, *others = pool.map(lambda known: _errors_with(sensed, known), (whole, *without))
     if not best:
@@ -168,12 +170,10 @@ _Conditioned = tuple[str, list[tuple[Recording, Conditioned]]]
 """A quantity of `TRUTHS`, and the recordings in which it was measured."""
 
 
-def _conditioned(measurement: Measurement, joint: Joint) -> _Conditioned | None:
-    """Condition the recordings that estimates can be compared with; None where no torque was measured."""
+def _with_torque(measurement: Measurement, conditioned: Sequence[Conditioned]) -> _Conditioned | None:
+    """Return the recordings that estimates can be compared with; None if no torque was measured."""
     quantity = _measured_torque(measurement)
-    if quantity is None:
-        return None
-    return (quantity, [(r, condition(r, joint)) for _, r in _sensed(measurement, quantity)])
+    return None if quantity is None else (quantity, [(r, conditioned[i]) for i, r in _sensed(measurement, quantity)])
 
 
 def _errors_with(sensed: _Conditioned | None, known: Joint) -> dict[str, float]:

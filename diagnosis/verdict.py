@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..estimator.conditioning import Conditioned
 from ..models import causes
 from ..models.joint import Joint
 from ..models.recording import Measurement
@@ -24,14 +25,14 @@ from .fit.solver import Fit, evaluate_point
 from .uncertainty import of_description, stated
 
 
-def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
-    """Return the answer of a diagnosis from its intermediate result."""
+def answer_of(conclusion: Conclusion, measurement: Measurement, conditioned: Sequence[Conditioned]) -> Diagnosis:
+    """Return the answer of a diagnosis from its intermediate result; `conditioned`: the measurement's recordings."""
     problem, found, shrunk, joint = conclusion.problem, conclusion.found, conclusion.shrunk, conclusion.problem.joint
     final = shrunk.fit
     useless = bool(conclusion.final.model) and explains_nothing(problem, found.base, conclusion.judged)
     if useless:
         conclusion = replace(conclusion, surest=min(conclusion.surest, ANSWER.unsure))
-    findings, minor = findings_of(conclusion, measurement)
+    findings, minor = findings_of(conclusion, measurement, conditioned)
     unseen = _without_held_out(conclusion)
     drive = any("motor_current" in r for r in measurement.recordings)
     drive_torque = 0.0 if drive else float(joint.record()[0]["Kt_drive"])

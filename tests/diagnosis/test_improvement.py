@@ -19,6 +19,7 @@ from flexspline.diagnosis.fit.solver import Fitter
 from flexspline.diagnosis.improvement import ESTIMATORS, Improvement, held_out, improvement, removed, with_improvement
 from flexspline.diagnosis.search.calibrate import calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
+from flexspline.estimator.conditioning import condition
 from flexspline.estimator.offline import estimate_recording
 from flexspline.models.joint_parts import Effect, Estimate
 
@@ -144,7 +145,8 @@ def test_what_an_effect_is_worth_to_estimators():
     twice = Effect(name="mesh_friction", parameters={"scale": Estimate(value=2.0, unit="1")})
     other = found.extended.model_copy(update={"effects": [twice]})
     other._path = found.extended._path
-    same, more = removed(drawn.measurement, found.extended, [found.extended, other])
+    conditioned = [condition(r, drawn.nominal) for r in drawn.measurement.recordings]
+    same, more = removed(drawn.measurement, found.extended, [found.extended, other], conditioned)
     assert same == 0.0 and more > 0.1**2
     bare = tuple(r.without("joint_torque") for r in drawn.measurement.recordings)
-    assert removed(replace(drawn.measurement, recordings=bare), found.extended, [other]) == []
+    assert removed(replace(drawn.measurement, recordings=bare), found.extended, [other], conditioned) == []

@@ -18,6 +18,7 @@ from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter
 from flexspline.diagnosis.search import explore
 from flexspline.diagnosis.search.calibrate import calibrate
+from flexspline.estimator.conditioning import condition
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement, read_measurement
 
@@ -82,7 +83,7 @@ def test_a_fit_that_does_not_serve_is_shrunk(shared):
     assert drawn.refused and 0 < drawn.share < 1
     assert len(asked) == 2 and drawn.fit is asked[-1]
 
-    no_worse = improvement.serves(measurement, joint)
+    no_worse = improvement.serves(measurement, joint, [condition(r, joint) for r in measurement.recordings])
     assert no_worse(joint)
     numbers = dict(joint.numbers)
     for name in ("K1", "K2", "K3", "Kt"):
