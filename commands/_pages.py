@@ -113,7 +113,8 @@ def _sweep(folder: Path) -> str:
     note = read_note(folder / "study.json")
     study = parse(note["study"], Study, str(folder / "study.json"))
     found = read_csv(folder / "summary.csv", study)
-    return sweep_html(study, found, note["versions"], note["digest"], folder, _study_of(note, folder))
+    worst = sorted((folder / "worst").glob("*.yaml"))
+    return sweep_html(study, found, note["versions"], note["digest"], folder, _study_of(note, folder), worst)
 
 
 def _study_of(note: dict[str, Any], folder: Path) -> str:

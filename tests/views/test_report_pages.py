@@ -49,7 +49,9 @@ def run_page(pushed, bare, tmp_path_factory) -> str:
 
 @pytest.fixture(scope="module")
 def sweep_page() -> str:
-    return sweep_html(STUDY, found(), {"flexspline": "0.1.0"}, "abcdef0123456789", Path("sweeps/s"), "levels")
+    folder = Path("sweeps/s")
+    worst = [folder / "worst" / "external_push.yaml"]
+    return sweep_html(STUDY, found(), {"flexspline": "0.1.0"}, "abcdef0123456789", folder, "levels", worst)
 
 
 STUDY = Study.model_validate(
@@ -421,6 +423,7 @@ def test_a_filter_has_one_colour_on_all_pages():
 
 def test_a_study_says_who_is_better_where(sweep_page):
     text = text_of(sweep_page)
+    assert "flexspline run sweeps/s/worst/external_push.yaml" in text
     assert "EKF has the lowest RMS error in 2 of 4 combinations" in text
     assert "EKF against RAREKF: lower in 2, higher in 2, undecided in 0" in text
     assert "flexspline sweep levels --seeds 18 --out sweeps/s" in text

@@ -24,7 +24,13 @@ _SHOWN = 12  # charts at most
 
 
 def sweep_html(
-    study: Study, found: Sequence[Aggregate], versions: dict[str, str], digest: str, folder: Path, source: str = ""
+    study: Study,
+    found: Sequence[Aggregate],
+    versions: dict[str, str],
+    digest: str,
+    folder: Path,
+    source: str = "",
+    worst: Sequence[Path] = (),
 ) -> str:
     """Return the page as text: one file without references to others.
 
@@ -33,6 +39,7 @@ def sweep_html(
       versions, digest: of the packages, and of the study.
       folder: of the dataset.
       source: name or path of the study for `flexspline sweep`; empty if unknown.
+      worst: files of the run with the largest first metric of each scenario.
     """
     kinds = line_kinds(study.names)
     metric = study.metrics[0]
@@ -59,6 +66,7 @@ def sweep_html(
         "commands": [
             f"flexspline sweep {shlex.quote(source or f'{study.name}.yaml')}{more} --out {place}{plugins.options()}"
         ],
+        "worst": [f"flexspline run {shlex.quote(path.as_posix())}{plugins.options()}" for path in worst],
         "listed": listed,
         "unknown": not source,
         "folder": str(folder),
