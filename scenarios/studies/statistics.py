@@ -131,7 +131,7 @@ def read_csv(path: Path, study: Study) -> list[Aggregate]:
 
     found = []
     try:
-        table = pd.read_csv(path, keep_default_na=False, na_values=[""], engine="python")
+        table = pd.read_csv(path, dtype=str, keep_default_na=False, na_values=[""], engine="python").fillna(math.nan)
         if not isinstance(table.index, pd.RangeIndex):
             raise ValueError("a row that is longer than the header")
         axes = list(table.columns)[1 : list(table.columns).index("filter")]
