@@ -151,12 +151,17 @@ def _combined(effect: np.ndarray, imperfection: np.ndarray, pairs: np.ndarray) -
       effect, imperfection: log weights, shape (n,).
       pairs: added for each two that are both imperfections, shape (n, n).
     """
-    n = len(effect)
-    small = (np.arange(2**n)[:, None] >> np.arange(n)) % 2 == 1  # every combination, shape (2ⁿ, n)
-    log = np.where(small, imperfection, effect).sum(axis=1) + np.einsum("si,ij,sj->s", small, pairs, small)
-    most = log.max()
-    weight = np.exp(log - most)
-    return float(most + np.log(weight.sum())), (weight @ ~small) / weight.sum()
+    either = np.logaddexp(effect, imperfection)
+    total, found = float(either.sum()), np.exp(effect - either)
+    tied = np.flatnonzero(pairs.any(axis=0) | pairs.any(axis=1))
+    if not len(tied):
+        return total, found
+    small = (np.arange(2 ** len(tied))[:, None] >> np.arange(len(tied))) % 2 == 1  # every combination of these
+    log = np.where(small, imperfection[tied], effect[tied]).sum(axis=1)
+    log = log + np.einsum("si,ij,sj->s", small, pairs[np.ix_(tied, tied)], small) - either[tied].sum()
+    weight = np.exp(log)
+    found[tied] = (weight @ ~small) / weight.sum()
+    return total + float(np.log(weight.sum())), found
 
 
 def unexplained_size(problem: Problem, f: Fit, linear: Fit, index: int, effects: Sequence[float]) -> float:
