@@ -86,7 +86,7 @@ def command(
         gained = None
         if in_time():
             stage("estimating torque before and after", 0.7)
-            gained = improvement(data, found)
+            gained = improvement(found.used or data, found)
             found = with_improvement(found, gained)
         if in_time():
             stage("what to measure next", 0.85)
@@ -105,7 +105,7 @@ def command(
                 from ..views.pages import write_report
                 from ..views.rerun import write_rerun_report
 
-                response = excited_response(data, found.extended) if found.problem is not None else None
+                response = excited_response(shown.used, found.extended) if found.problem is not None else None
                 write_report(replace(shown, response=response), folder / "report.html")
                 write_rerun_report(shown, folder / "report.rrd")
     if as_json:
