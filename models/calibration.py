@@ -3,9 +3,10 @@
 Each calibration variable `x_j ~ N(0, 1)` changes one number of the joint (or several with a shared tolerance): `value
 = nominal · f(tolerance, x_own) · f(shared tolerance, x_shared) + deviation · x_own`. A draw of `x` is a joint within
 its tolerances; a fit finds `x` with the prior of the joint file. A diagnosed number has its standard deviation
-instead: the result of one diagnosis is the prior of the next. A tolerance up to `NARROW` is normal, f = 1 + tolerance
-· x. A larger one is log-normal, f = (1 + tolerance)^x: half the value is as likely as double, and the number is never
-negative.
+instead, and its correlations with other diagnosed numbers (`joint_parts.Uncertainty`): the result of one diagnosis is
+the prior of the next. Each correlated number is `value + deviation · (R x)_own`, where R is the symmetric root of the
+correlation matrix. A tolerance up to `NARROW` is normal, f = 1 + tolerance · x. A larger one is log-normal, f = (1 +
+tolerance)^x: half the value is as likely as double, and the number is never negative.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ from .parameters import PARAMETERS, as_floats, short_way
 
 CUT = 2.5
 """Largest number of standard deviations of a drawn variable."""
+ZEROS = ("link_encoder_zero", "torque_sensor_offset")
+"""Zeros of sensors: each power cycle may set them anew, so that a diagnosis says nothing of the next one's."""
+_UNCORRELATED = 1e-3  # entry of the correlation's root below which a variable hardly changes a number
 WITHIN = 3.0
 """Standard deviations within which a change is calibration; beyond, it is a cause."""
 
@@ -90,6 +94,7 @@ class Calibration:
         shared = [f"shared {name}" for name in joint.shared_tolerances]
         self.names = own + shared
         self._position = {name: i for i, name in enumerate(self.names)}
+        self._root = self._correlation_root()
         self._laws = self._as_arrays()
         self._bare: dict[Mounting, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._last: dict[tuple[Mounting, bool], tuple[np.ndarray, np.ndarray]] = {}
@@ -120,15 +125,32 @@ class Calibration:
             place=np.array([s.place for s in self.slots], int),
         )  # fmt: skip
 
+    def _correlation_root(self) -> np.ndarray:
+        """Symmetric root of the variables' correlation, shape (n + 1, n + 1); the last one is a variable that is always zero."""
+        root = np.eye(self.size + 1)
+        stated = self.joint.uncertainty
+        if stated is None:
+            return root
+        diagnosed = {s.name for s in slots(self.joint) if s.number.std} - set(ZEROS)
+        covariance = stated.matrix @ stated.matrix.T
+        rows = [i for i, name in enumerate(stated.names) if name in diagnosed and covariance[i, i] > 0.0]
+        at = [self._position[stated.names[i]] for i in rows]
+        scale = 1.0 / np.sqrt(np.diag(covariance)[rows])
+        values, vectors = np.linalg.eigh(covariance[np.ix_(rows, rows)] * scale[:, None] * scale)
+        root[np.ix_(at, at)] = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        return root
+
     def variables(self, slot: Slot) -> list[int]:
-        """Return the indices of the variables of a slot's number: its own and a shared one, if it has them."""
+        """Return the indices of the variables that change a slot's number: its own, correlated and shared ones."""
         i = self.slots.index(slot)
-        return [int(j) for j in (self._laws.own[i], self._laws.shared[i]) if j < self.size]
+        moving = np.flatnonzero(np.abs(self._root[self._laws.own[i]]) > _UNCORRELATED)
+        return [int(j) for j in (*moving, self._laws.shared[i]) if j < self.size]
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """Return the numbers of all slots at `x`, shape (len(slots),)."""
         n, x = self._laws, np.append(x, 0.0)
-        value = n.value * factor_of(n.tolerance, x[n.own]) + n.deviation * x[n.own]
+        own = (self._root @ x)[n.own]
+        value = n.value * factor_of(n.tolerance, own) + n.deviation * own
         return np.maximum(value * factor_of(n.shared_tolerance, x[n.shared]), n.least)
 
     def value(self, slot: Slot, x: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...models.calibration import Calibration
+from ...models.calibration import NARROW, ZEROS, Calibration
 from ...models.errors import InputError
 from ...models.joint import Joint
 from ...models.joint_parts import AnalogSpec, Mounting
@@ -43,7 +43,6 @@ _UNBOUNDED = 100.0  # times the ninth decile
 _INFINITE = 1e6  # A or N·m per standard deviation or ordinary size: a derivative that counts as infinite
 _HELD = 1e-4  # prior standard deviation of a held unknown
 _LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
-_ZEROS = ("link_encoder_zero", "torque_sensor_offset")
 _TIMED = (CURRENT, TORQUE)
 
 Model = tuple[Hypothesis, ...]
@@ -76,13 +75,15 @@ class Problem:
         # With one encoder the torque is compared with the load alone, and a crosstalk would be taken for a part of it.
         both = any(s.link_measured for s in segments)
         self.crosstalk = CROSSTALK * max(m.gravity_moment for m in (joint.mount(), *self.mountings)) if both else 0.0
-        linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
-        at = [i for i, name in enumerate(self.calibration.names) if name in linear]
+        slots = self.calibration.slots
+        curved = [s for s in slots if s.field not in _LINEAR or s.number.shared or s.number.tolerance > NARROW]
+        bent = {i for s in curved for i in self.calibration.variables(s)}
+        at = [i for i in range(self.calibration.size) if i not in bent]
         self.linear = np.array([*at, self.size - 1])
         self.held = np.zeros(self.size, bool)
         self.output_scale = np.ones(len(BALANCES))
         self.output_scale[CURRENT] = joint.numbers["N"].value * joint.numbers["Kt"].value
-        self.zeros = np.array([i for i, name in enumerate(self.calibration.names) if name in _ZEROS], int)
+        self.zeros = np.array([i for i, name in enumerate(self.calibration.names) if name in ZEROS], int)
 
     def only_zero(self) -> Problem:
         """Return the problem in which only the link encoder's zero may differ from the description."""
@@ -346,10 +347,8 @@ class Problem:
     def replaced(self, model: Sequence[Hypothesis]) -> np.ndarray:
         """Return indices of the common unknowns of numbers that the effects replace, and that therefore have no influence."""
         fields = {field for h in model for field in h.cause.sets.values()}
-        names = {
-            name for s in self.calibration.slots if s.field in fields for name in (s.name, f"shared {s.number.shared}")
-        }
-        return np.array([i for i, name in enumerate(self.calibration.names) if name in names], int)
+        moving = [self.calibration.variables(s) for s in self.calibration.slots if s.field in fields]
+        return np.array(sorted({i for variables in moving for i in variables}), int)
 
     def start(self, x: np.ndarray | None, model: Model) -> np.ndarray:
         """Return a vector of unknowns: the common ones at x (0 for None), the effects absent."""

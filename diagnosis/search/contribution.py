@@ -168,11 +168,8 @@ def _as_without(problem: Problem, f: Fit, columns: Columns, index: int) -> Colum
     if not h.cause.scales:
         return columns
     factor = h.values(problem.split(f.theta, f.model)[index])[h.cause.parameters[0].name]
-    moved: dict[str, set[str]] = {}
-    for slot in calibration.slots:
-        for name in (slot.name, f"shared {slot.number.shared}"):
-            moved.setdefault(name, set()).add(slot.field)
-    scaled = [j for j, name in enumerate(calibration.names) if moved.get(name, {""}) <= set(h.cause.scales)]
+    other = {j for s in calibration.slots if s.field not in h.cause.scales for j in calibration.variables(s)}
+    scaled = [j for j in range(calibration.size) if j not in other]
     weight = np.ones(columns[0].shape[-1])
     weight[scaled] = 1.0 / max(factor, 1e-3)
     return [c * weight for c in columns]

@@ -10,6 +10,7 @@ import pytest
 from flexspline.models import causes
 from flexspline.models.calibration import CUT, Calibration
 from flexspline.models.joint import as_joint, known_joints, load_joint
+from flexspline.models.joint_parts import Uncertainty
 from flexspline.models.parameters import as_floats
 
 
@@ -41,6 +42,35 @@ def test_spread_of_draws_is_the_tolerance(calibration, rng):
         expected = np.hypot(number.value * np.hypot(number.tolerance, shared), number.deviation)
         assert values.std() == pytest.approx(0.9546 * expected, rel=0.05), slot.name
         assert values.mean() == pytest.approx(number.value, abs=0.08 * expected), slot.name
+
+
+def test_correlations_of_a_diagnosis_are_in_the_prior(calibration, rng):
+    """The torque constant and the gravity moment are known by their quotient, as with one encoder."""
+    joint = calibration.joint
+    Kt = joint.numbers["Kt"]
+    covariance = np.array(
+        [[(0.02 * Kt.value) ** 2, 0.999 * 0.02 * Kt.value * 0.03], [0.999 * 0.02 * Kt.value * 0.03, 0.03**2]]
+    )
+    found = joint.model_copy(
+        update={
+            "numbers": joint.numbers | {"Kt": Kt.model_copy(update={"std": 0.02 * Kt.value})},
+            "link_tolerances": joint.link_tolerances
+            | {"gravity_moment": joint.link_tolerances["gravity_moment"].model_copy(update={"std": 0.03})},
+            "uncertainty": Uncertainty(
+                names=["Kt", "Mg"],
+                factor=[row[: i + 1] for i, row in enumerate(np.linalg.cholesky(covariance).tolist())],
+            ),
+        }
+    )
+    prior = Calibration(found)
+    slots = [next(s for s in prior.slots if s.name == name) for name in ("Kt", "Mg")]
+    assert prior.variables(slots[0]) == prior.variables(slots[1])
+    draws = np.array([[prior.value(s, x) for s in slots] for x in (prior.draw(rng) for _ in range(4000))])
+    np.testing.assert_allclose(draws.std(axis=0), 0.9546 * np.sqrt(np.diag(covariance)), rtol=0.05)
+    assert np.corrcoef(draws.T)[0, 1] == pytest.approx(0.999, abs=5e-4)
+    others = [s for s in prior.slots if s.name not in ("Kt", "Mg")]
+    x = prior.draw(rng)
+    assert [prior.value(s, x) for s in others] == [calibration.value(s, x) for s in others]
 
 
 def test_tolerances_are_those_of_the_specification(calibration):
