@@ -569,70 +569,125 @@ def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1)
 
 def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> list[PlannedExperiment]:
     """Return possible experiments: motions, loads, a locked output, one more sensor."""
-    p = diagnosis.extended.record()[0]
-    recordings = measurement.recordings
-    movable = [r.link for r in recordings if not r.link.locked] or [joint.mount()]
-    link = max(movable, key=lambda m: m.gravity_moment)
-    seen = frozenset(name for r in recordings for name in r.columns) & {
-        "motor_position", "link_position", "motor_current", "motor_torque", "joint_torque", "temperature",
-    }  # fmt: skip
-    interval = float(np.median([r.interval for r in recordings]))
-    N, rated = float(p["N"]), joint.numbers["rated_torque"].value
-    angles = [r["link_position"] if "link_position" in r else r["motor_position"] / N for r in recordings]
-    low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
-    half = 0.5 * (high - low)
-    centre = 0.0 if abs(low + half) < _ABOUT * half else low + half
-    reach = float(np.clip(half, 0.4, SETTINGS.range))
-    steepest = float(np.max(np.abs(np.sin(np.linspace(centre - reach, centre + reach, 50) + link.gravity_angle))))
-    effort = SETTINGS.effort
-    found: list[PlannedExperiment] = []
+    bench = _Bench.of(measurement, joint, diagnosis)
+    return [*_motions(bench), *_loads(bench, measurement), *_locked_output(bench), *_sensors(bench)]
 
-    def add(name: str, text: str, points: Sequence[Waypoint], mounting: Mounting = link, **options: Any) -> None:
-        options.setdefault("channels", seen)
+
+@dataclass(frozen=True)
+class _Bench:
+    """What an experiment can do with a joint.
+
+    Attributes:
+      joint: its description; p: record of the joint that was found.
+      link: the heaviest load of the measurement; channels: columns that it recorded; interval: between samples [s].
+      low, high: range of the link that the measurement visited [rad]; centre, reach: of the motions proposed [rad].
+    """
+
+    joint: Joint
+    p: np.void
+    link: Mounting
+    channels: frozenset[str]
+    interval: float
+    low: float
+    high: float
+    centre: float
+    reach: float
+
+    @classmethod
+    def of(cls, measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> _Bench:
+        """Return the bench on which a measurement was made."""
+        p, recordings = diagnosis.extended.record()[0], measurement.recordings
+        links = [r.link for r in recordings if not r.link.locked] or [joint.mount()]
+        channels = frozenset(name for r in recordings for name in r.columns) & {
+            "motor_position", "link_position", "motor_current", "motor_torque", "joint_torque", "temperature",
+        }  # fmt: skip
+        N = float(p["N"])
+        angles = [r["link_position"] if "link_position" in r else r["motor_position"] / N for r in recordings]
+        low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
+        half = 0.5 * (high - low)
+        return cls(
+            joint, p, max(links, key=lambda m: m.gravity_moment), channels, float(np.median([r.interval for r in recordings])),
+            low, high, 0.0 if abs(low + half) < _ABOUT * half else low + half, float(np.clip(half, 0.4, SETTINGS.range)),
+        )  # fmt: skip
+
+    @property
+    def rated(self) -> float:
+        """Rated torque [N·m]."""
+        return self.joint.numbers["rated_torque"].value
+
+    @property
+    def motion(self) -> str:
+        """The usual motion, in words."""
+        return f"move through {self.span(self.reach)} and back, 6 s each way"
+
+    def experiment(
+        self, name: str, text: str, points: Sequence[Waypoint], mounting: Mounting | None = None, **options: Any
+    ) -> PlannedExperiment:
+        """Return an experiment with a motion about the centre."""
+        mounting = self.link if mounting is None else mounting
+        options.setdefault("channels", self.channels)
         if not mounting.locked:
-            points = [w.model_copy(update={"position": w.command + centre}) for w in points]
-            if any(not low - _FREE <= w.command <= high + _FREE for w in points):
-                text += f"; the measurement covers {_angle(low)} … {_angle(high)} rad: check for collisions beyond"
-        found.append(PlannedExperiment(name, text, mounting, tuple(points), interval=interval, **options))
+            points = [w.model_copy(update={"position": w.command + self.centre}) for w in points]
+            if any(not self.low - _FREE <= w.command <= self.high + _FREE for w in points):
+                text += f"; the measurement covers {_angle(self.low)} … {_angle(self.high)} rad: check for collisions beyond"
+        return PlannedExperiment(name, text, mounting, tuple(points), interval=self.interval, **options)
 
-    def span(amplitude: float) -> str:
-        if centre == 0.0:
+    def span(self, amplitude: float) -> str:
+        """Return the range of a motion, in words."""
+        if self.centre == 0.0:
             return f"±{amplitude:.2g} rad"
-        return f"{_angle(centre - amplitude)} … {_angle(centre + amplitude)} rad"
+        return f"{_angle(self.centre - amplitude)} … {_angle(self.centre + amplitude)} rad"
 
-    def sweeps(amplitude: float, seconds: float) -> list[Waypoint]:
-        there_and_back = [amplitude, -amplitude, amplitude, 0.0]
-        return waypoints(there_and_back, [0.6 * seconds, seconds, seconds, 0.6 * seconds], [0.4] * 4, 0.4)
+    def sweeps(self, amplitude: float | None = None, seconds: float = 6.0) -> list[Waypoint]:
+        """Return waypoints of two strokes, `seconds` each way."""
+        a = self.reach if amplitude is None else amplitude
+        return waypoints([a, -a, a, 0.0], [0.6 * seconds, seconds, seconds, 0.6 * seconds], [0.4] * 4, 0.4)
 
-    def shortest(way: float) -> float:
+    def shortest(self, way: float) -> float:
         """Return the shortest time [s] of a move [rad] that motor and rated torque allow."""
+        p, link, N = self.p, self.link, float(self.p["N"])
+        angles = np.linspace(self.centre - self.reach, self.centre + self.reach, 50)
+        steepest = float(np.max(np.abs(np.sin(angles + link.gravity_angle))))
         speed = SETTINGS.speed * p["supply_voltage"] / (p["Kt"] * N)
-        left = max(SETTINGS.load * rated - link.gravity_moment * steepest, 0.2 * rated)
+        left = max(SETTINGS.load * self.rated - link.gravity_moment * steepest, 0.2 * self.rated)
         motor = 0.4 * p["Kt"] * p["current_limit"] / ((p["Jm"] + p["Jw"]) * N)
         return max(1.875 * way / speed, float(np.sqrt(5.78 * way / min(left / link.inertia, motor))), 0.5)
 
-    usual = sweeps(reach, 6.0)
-    motion = f"move through {span(reach)} and back, 6 s each way"
-    add("sweeps", f"Move the link through {span(reach)} and back, 6 s each way", usual)
-    fast = shortest(2 * reach)
-    add("fast_sweeps", f"Move the link through {span(reach)} and back as fast as {fast:.2g} s each way", [
-        *sweeps(reach, fast), *_later(sweeps(reach, 1.5 * fast), sweeps(reach, fast)[-1].time),
-    ])  # fmt: skip
-    add(
+
+def _motions(bench: _Bench) -> Iterator[PlannedExperiment]:
+    """Yield experiments that only move."""
+    reach, span = bench.reach, bench.span
+    yield bench.experiment("sweeps", f"Move the link through {span(reach)} and back, 6 s each way", bench.sweeps())
+    fast = bench.shortest(2 * reach)
+    first = bench.sweeps(reach, fast)
+    yield bench.experiment(
+        "fast_sweeps",
+        f"Move the link through {span(reach)} and back as fast as {fast:.2g} s each way",
+        [*first, *_later(bench.sweeps(reach, 1.5 * fast), first[-1].time)],
+    )
+    yield bench.experiment(
         "slow_reversals",
         f"Turn back and forth by 0.05 rad at 0.04 rad/s, at three angles within {span(0.7 * reach)}",
         _reversals([-0.7 * reach, 0.0, 0.7 * reach], 0.05, 0.04),
     )
     poses = [*np.linspace(-reach, reach, 7), *np.linspace(reach, -reach, 7)[1:], 0.0]
-    step, half = max(shortest(reach / 3), 0.8), max(shortest(reach), 2.0)
-    up = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
-    add("rest_poses", f"Hold still at seven angles within {span(reach)}, each reached from both sides", up)
+    step, half = max(bench.shortest(reach / 3), 0.8), max(bench.shortest(reach), 2.0)
+    yield bench.experiment(
+        "rest_poses",
+        f"Hold still at seven angles within {span(reach)}, each reached from both sides",
+        waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4),
+    )
     wide = min(1.4 * reach, 2.4)
     if wide > 1.2 * reach or reach < SETTINGS.range:
-        add("larger_range", f"Move the link as far as {span(wide)} and back, 8 s each way", sweeps(wide, 8.0))
-    arm = 0.3
-    extra = min(0.25 * rated, SETTINGS.heaviest * rated - link.gravity_moment)
-    if extra > 0.05 * rated:
+        text = f"Move the link as far as {span(wide)} and back, 8 s each way"
+        yield bench.experiment("larger_range", text, bench.sweeps(wide, 8.0))
+
+
+def _loads(bench: _Bench, measurement: Measurement) -> Iterator[PlannedExperiment]:
+    """Yield experiments with another load."""
+    link, arm, effort = bench.link, 0.3, SETTINGS.effort[0]
+    extra = min(0.25 * bench.rated, SETTINGS.heaviest * bench.rated - link.gravity_moment)
+    if extra > 0.05 * bench.rated:
         mass = float(f"{extra / (GRAVITY * arm):.1g}")
         loaded = Mounting(
             inertia=float(f"{link.inertia + mass * arm**2:.4g}"),
@@ -640,45 +695,50 @@ def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) ->
             gravity_angle=link.gravity_angle,
         )
         where = f"link: {{inertia: {loaded.inertia:g}, gravity_moment: {loaded.gravity_moment:g}}}"
-        if any(r.arm is not None for r in recordings):
+        if any(r.arm is not None for r in measurement.recordings):
             where = "in the arm's MJCF, too"
-        add(
-            "second_payload",
-            f"Add a known payload, {mass:g} kg at {arm:g} m ({where}), and {motion}",
-            usual, loaded, effort=effort[0],
-        )  # fmt: skip
-    unlocked = {name: m for name, m in joint.mountings.items() if not m.locked} or joint.mountings
+        text = f"Add a known payload, {mass:g} kg at {arm:g} m ({where}), and {bench.motion}"
+        yield bench.experiment("second_payload", text, bench.sweeps(), loaded, effort=effort)
+    mountings = bench.joint.mountings
+    unlocked = {name: m for name, m in mountings.items() if not m.locked} or mountings
     name, lightest = min(unlocked.items(), key=lambda pair: pair[1].gravity_moment)
-    if lightest.gravity_moment < 0.5 * min(m.gravity_moment for m in movable):
-        add(
-            "light_link",
-            f"Take the load off (mounting {name}) and {motion}",
-            usual, lightest, effort=effort[0],
-        )  # fmt: skip
-    if "motor_position" in seen:
-        torque = SETTINGS.load * rated
-        winding, soft = _locked(p, torque)
-        add(
+    used = [r.link for r in measurement.recordings if not r.link.locked] or [bench.joint.mount()]
+    if lightest.gravity_moment < 0.5 * min(m.gravity_moment for m in used):
+        text = f"Take the load off (mounting {name}) and {bench.motion}"
+        yield bench.experiment("light_link", text, bench.sweeps(), lightest, effort=effort)
+
+
+def _locked_output(bench: _Bench) -> Iterator[PlannedExperiment]:
+    """Yield the experiment with the output bolted to the bench."""
+    if "motor_position" in bench.channels:
+        torque = SETTINGS.load * bench.rated
+        winding, soft = _locked(bench.p, torque)
+        yield bench.experiment(
             "locked_output",
             f"Bolt the output to the bench (link: {{inertia: {LOCKED:g}, gravity_moment: 0}}, external_torque: unmeasured, "
             f"link_position constant) and drive the motor back and forth to ±{torque:.3g} N·m",
-            winding, Mounting(inertia=LOCKED, gravity_moment=0.0), effort=effort[1], locked=True, controller=soft,
-            channels=seen | {"link_position"},
+            winding, Mounting(inertia=LOCKED, gravity_moment=0.0), effort=SETTINGS.effort[1], locked=True, controller=soft,
+            channels=bench.channels | {"link_position"},
         )  # fmt: skip
+
+
+def _sensors(bench: _Bench) -> Iterator[PlannedExperiment]:
+    """Yield experiments with one more sensor."""
+    usual, effort = bench.sweeps(), SETTINGS.effort[2]
     for column, sensor in (
         ("motor_position", "the motor's encoder"), ("link_position", "a second encoder, at the link"),
         ("joint_torque", "a torque sensor at the output"),
     ):  # fmt: skip
-        if column not in seen:
-            text = f"Add {sensor} (column {column}), and {motion}"
-            add(f"with_{column}", text, usual, effort=effort[2], channels=seen | {column})
-    if "temperature" not in seen:
-        add(
+        if column not in bench.channels:
+            text = f"Add {sensor} (column {column}), and {bench.motion}"
+            yield bench.experiment(f"with_{column}", text, usual, effort=effort, channels=bench.channels | {column})
+    if "temperature" not in bench.channels:
+        yield bench.experiment(
             "with_temperature",
-            f"Record the gear's temperature (column temperature) from cold until {SETTINGS.warming:g} K warmer, and {motion}",
-            usual, effort=effort[2], channels=seen | {"temperature"}, warming=SETTINGS.warming,
+            f"Record the gear's temperature (column temperature) from cold until {SETTINGS.warming:g} K warmer, and "
+            f"{bench.motion}",
+            usual, effort=effort, channels=bench.channels | {"temperature"}, warming=SETTINGS.warming,
         )  # fmt: skip
-    return found
 
 
 def _angle(x: float) -> str:

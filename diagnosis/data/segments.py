@@ -226,31 +226,14 @@ def _segment(
 ) -> tuple[Segment, Segment]:
     recording = conditioned.recording
     p = joint.record(recording.link)[0]
-    time = recording.time[part]
     channels, noise = _channels(conditioned, part, joint, p, rng)
     names = list(channels)
     values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
-    cutoff, settle = conditioned.passband, settings.settle_time
-    whole = passband(time, cutoff)
     link_measured = "link_position" in recording and "motor_position" in recording
     # Pushes that nobody measured may be anything.
     alone = "joint_torque" in recording and recording.external != "unmeasured"
     weighed = "link_position" in recording and (link_measured or alone)
-    if "motor_position" in recording:
-        s = smooth(time, values, STEP, cutoff)
-    else:
-        readings = min([CUTOFF, *(SHARE * conditioned.channels[name].rate for name in conditioned.news)])
-        whole = passband(time, readings, settings.readings)
-        following = max(settings.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), settings.slowest)
-        following = min(following, cutoff)
-        s = _joined(
-            [name in ENCODERS for name in (*names, *names)],
-            smooth(time, values, STEP, following),
-            smooth(time, values, STEP, readings, share=settings.readings),
-        )
-        if weighed:  # what is held against each other goes through one smoother
-            s = _joined([name in _WEIGHING for name in (*names, *names)], smooth(time, values, STEP, cutoff), s)
-        settle = max(settle, 1 / passband(time, following))
+    s, whole, settle = _smoothed(conditioned, recording.time[part], values, names, weighed, p, settings)
     place = {name: i for i, name in enumerate(names)}
 
     def of(name: str, what: np.ndarray, noisy: bool = False) -> np.ndarray:
@@ -296,19 +279,7 @@ def _segment(
         measured_bend=decimate(read_bend), state=state, load=load, balances=balances, usable=usable, held_out=held_out,
         at_rest=at_rest, passband=1 / (2 * np.pi * whole),
     )  # fmt: skip
-    # Above its passband a motion has no information.
-    block = int(np.clip(0.5 / (STEP * DECIMATION * cutoff), 1, settings.block)) if one.rotor_measured else 1
-    if link_measured and conditioned.stamps.error:
-        block = settings.block  # replicates do not have errors of time
-    elif link_measured:
-        block = max(block, _block((rotor, link), (rotor_noise, link_noise), settings))
-        # The drive reacts to encoder counts, which replicates do not have. This biases a fit towards a light rotor and a strong
-        # motor. The noise decreases with frequency to the power 5/2.
-        shakes, current = (float(np.std(decimate(x))) for x in (rotor_noise[:, 2], read_noise[:, CURRENT]))
-        shakes *= float(p["Jm"] / p["Kt"])
-        # Without a current, or without its noise, there is no limit.
-        while block < settings.block and current and shakes / block**2.5 > settings.shaken * current:
-            block += 1
+    block = _residuals_at_once(one, conditioned, rotor_noise, link_noise, read_noise[:, CURRENT], p, settings)
     one = replace(one, block=block)
     replicate = replace(
         one,
@@ -320,6 +291,59 @@ def _segment(
         measured_bend=one.measured_bend + decimate(noise_bend),
     )
     return one, replicate
+
+
+def _smoothed(
+    conditioned: Conditioned,
+    time: np.ndarray,
+    values: np.ndarray,
+    names: Sequence[str],
+    weighed: bool,
+    p: np.void,
+    settings: SegmentSettings,
+) -> tuple[Smooth, float, float]:
+    """Smooth channels and their noise, shape (n, 2 len(names)); also return the passband of the readings [Hz] and the time in
+    which the smoother settles [s]."""
+    cutoff = conditioned.passband
+    if "motor_position" in conditioned.recording:
+        return smooth(time, values, STEP, cutoff), passband(time, cutoff), settings.settle_time
+    readings = min([CUTOFF, *(SHARE * conditioned.channels[name].rate for name in conditioned.news)])
+    following = max(settings.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), settings.slowest)
+    following = min(following, cutoff)
+    s = _joined(
+        [name in ENCODERS for name in (*names, *names)],
+        smooth(time, values, STEP, following),
+        smooth(time, values, STEP, readings, share=settings.readings),
+    )
+    if weighed:  # what is held against each other goes through one smoother
+        s = _joined([name in _WEIGHING for name in (*names, *names)], smooth(time, values, STEP, cutoff), s)
+    return s, passband(time, readings, settings.readings), max(settings.settle_time, 1 / passband(time, following))
+
+
+def _residuals_at_once(
+    one: Segment,
+    conditioned: Conditioned,
+    rotor_noise: np.ndarray,
+    link_noise: np.ndarray,
+    current_noise: np.ndarray,
+    p: np.void,
+    settings: SegmentSettings,
+) -> int:
+    """Return how many residuals count as one (`SegmentSettings.block`): above its passband a motion has no information."""
+    block = int(np.clip(0.5 / (STEP * DECIMATION * conditioned.passband), 1, settings.block))
+    if not one.link_measured:
+        return block if one.rotor_measured else 1
+    if conditioned.stamps.error:
+        return settings.block  # replicates do not have errors of time
+    block = max(block, _block((one.rotor, one.link), (rotor_noise, link_noise), settings))
+    # The drive reacts to encoder counts, which replicates do not have. This biases a fit towards a light rotor and a strong
+    # motor. The noise decreases with frequency to the power 5/2.
+    shakes, current = (float(np.std(decimate(x))) for x in (rotor_noise[:, 2], current_noise))
+    shakes *= float(p["Jm"] / p["Kt"])
+    # Without a current, or without its noise, there is no limit.
+    while block < settings.block and current and shakes / block**2.5 > settings.shaken * current:
+        block += 1
+    return block
 
 
 def _joined(first: Sequence[bool], one: Smooth, other: Smooth) -> Smooth:
