@@ -65,7 +65,8 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     mistakes = find_mistakes(measurement, joint)
     if any(m.severe for m in mistakes):
         return invalid_data(joint, mistakes)
-    measurement = most_telling(unclipped(measurement, joint, mistakes))
+    whole = unclipped(measurement, joint, mistakes)
+    measurement = most_telling(whole)
     joint = as_logged(joint, measurement.recordings)
     conditioned = [condition(r, joint) for r in measurement.recordings]
     problem = Problem(*segments(conditioned, joint), joint)
@@ -99,9 +100,12 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     if zeros or all(pushed(r) for r in measurement.recordings) or small.share == 0.0 or _rotor_unknown(problem, judged):
         surest = ANSWER.unsure
     conclusion = Conclusion(problem, found, judged, final, small, missing, undetermined, alike, surest, zeros)
-    return replace(
-        answer_of(conclusion, measurement, conditioned), mistakes=mistakes, regressions=plain, used=measurement
-    )
+    answer = answer_of(conclusion, measurement, conditioned)
+    if measurement is not whole:
+        part, all_ = (sum(len(r.time) * r.interval for r in m.recordings) for m in (measurement, whole))
+        why = f"the {part:.0f} s with the most information were diagnosed, of {all_:.0f} s: errors are those in these parts"
+        answer = replace(answer, reasons=(*answer.reasons, why))
+    return replace(answer, mistakes=mistakes, regressions=plain, used=measurement)
 
 
 def _search(

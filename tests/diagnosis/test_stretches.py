@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import numpy as np
 from swing import recording
 
 from flexspline.diagnosis.data.stretches import LONGEST, most_telling
+from flexspline.diagnosis.diagnose import diagnose
+from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement
 
 
@@ -45,3 +48,12 @@ def test_of_many_recordings_those_that_add_something_are_taken():
     kept = most_telling(measurement(*same, warm)).recordings
     assert "warm" in {r.name for r in kept}
     assert sum(len(r.time) for r in kept) / 100.0 < LONGEST + 6.0
+
+
+def test_a_diagnosis_says_which_part_it_used():
+    long = measurement(recording(rate=100.0, seconds=130.0))
+    found = diagnose(long, load_joint("test-joint"), seconds=0.1)
+    (said,) = [reason for reason in found.reasons if "with the most information" in reason]
+    print(said)
+    part, whole = map(float, re.findall(r"(\d+) s", said))
+    assert LONGEST - 6.0 < part < LONGEST + 6.0 and whole == 130.0
