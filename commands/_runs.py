@@ -119,6 +119,8 @@ def _check(scenario: Scenario | ArmScenario, source: Path, out: Path) -> None:
     from ..scenarios.run_folder import check_run_folder
 
     place, arm = out / scenario.name, isinstance(scenario, ArmScenario)
+    if isinstance(scenario, ArmScenario) and scenario.model is not None:
+        scenario.masses(source.parent)
     for joint in scenario.arm if isinstance(scenario, ArmScenario) else [scenario]:
         folder = place / joint.name if arm else place
         for described in joint.load_joint(source.parent):

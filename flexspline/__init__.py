@@ -206,7 +206,8 @@ def simulate(scenario: str | Path | Scenario, seed: int | None = None, **changes
 
 
 def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **changes: Any) -> dict[str, Run]:
-    """Run a scenario of joints in series in one plant; each joint has its own controller, sensors and filters.
+    """Run a scenario of joints in one plant, in series or on an MJCF's or URDF's hinges; each has its own controller, sensors
+    and filters.
 
     Args:
       scenario: name of a shipped scenario (`two_joints`), path of a YAML file, or an `ArmScenario`.

@@ -1,4 +1,4 @@
-"""The load on a joint of an arm: inertia, weight and torque of other joints' motion, from an MJCF.
+"""The load on a joint of an arm: inertia, weight and torque of other joints' motion, from an MJCF or a URDF.
 
 MuJoCo's inverse dynamics of the arm give the torque of one joint (Featherstone's recursive Newton–Euler algorithm),
 
@@ -9,33 +9,29 @@ M_jj is constant, c_j is zero and the weight of a rigid tree about a fixed axis 
 arm is exactly a `Mounting`. While they move, inertia is an array, and the rest is a known torque on the link in
 addition to the weight of that mounting: a `Load`.
 
-Angles are the MJCF's: its zero is the joint's zero, its axis the positive direction, and `gravity_angle` is the angle
-of the weight. Only masses, inertias and gravity of the MJCF count. Its dampings, armatures, actuators and limits do
-not: the joint's description has the drive.
+That holds for any axes and any tree. Angles are the model's: its zero is the joint's zero, its axis the positive
+direction, and `gravity_angle` is the angle of the weight. Only masses, inertias and gravity of the model count. Its
+dampings, armatures, actuators and limits do not: the joint's description has the drive.
 """
 
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from .arm import ArmSpec, Load
+from .arm_model import compiled, read, written
 from .errors import InputError, nearest
 from .joint import shipped
 from .joint_parts import Mounting
-from .mjcf import check_mjcf
 from .motion import differentiated
-from .parameters import GRAVITY
 
 STILL = 1e-3
 """Range of an angle [rad] within which another joint of the arm is at rest."""
-_GRAVITY_SLACK = 0.02
 _WEIGHTLESS = 1e-9  # N·m
 
 
@@ -49,25 +45,28 @@ class Arm:
     """
 
     def __init__(self, spec: ArmSpec, folder: Path):
-        """Read the MJCF, next to the file that names it or shipped.
+        """Read the MJCF or URDF, next to the file that names it or shipped.
 
         Raises:
           InputError: no such file or joint, or not an arm of hinges and slides under gravity; one line.
         """
         path = _find(spec.model, folder)
-        check_mjcf(path)
-        self._begin(spec, path, partial(mujoco.MjSpec.from_file, str(path)))
+        self._begin(spec, path, read(path))
 
     @classmethod
     def of_text(cls, spec: ArmSpec, text: str) -> Arm:
         """Return the arm of an MJCF as text; `spec.model` is its name in messages."""
         arm = cls.__new__(cls)
-        arm._begin(spec, Path(spec.model), partial(mujoco.MjSpec.from_string, text))
+        arm._begin(spec, Path(spec.model), compiled(mujoco.MjSpec.from_string(text), Path(spec.model)))
         return arm
 
-    def _begin(self, spec: ArmSpec, path: Path, read: Callable[[], mujoco.MjSpec]) -> None:
-        self.spec, self.path = spec, path
-        self._model = _model_of(path, read)
+    def _begin(self, spec: ArmSpec, path: Path, model: mujoco.MjModel) -> None:
+        self.spec, self.path, self._model = spec, path, model
+        for i in range(model.njnt):
+            if int(model.jnt_type[i]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
+                raise InputError(
+                    f"{path}: joint {model.joint(i).name}: expected an arm of hinges and slides, got another kind"
+                )
         self._data = mujoco.MjData(self._model)
         names = [self._model.joint(i).name for i in range(self._model.njnt)]
         if spec.joint not in names:
@@ -148,29 +147,7 @@ class Arm:
 
     def mjcf(self) -> str:
         """Return its masses and joints, as the text of an MJCF without looks and files."""
-        m = self._model
-        root = ElementTree.Element("mujoco", model="arm")
-        ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
-        ElementTree.SubElement(root, "option", gravity=_numbers(m.opt.gravity))
-        bodies = [ElementTree.SubElement(root, "worldbody")]
-        for i in range(1, m.nbody):
-            body = ElementTree.SubElement(
-                bodies[m.body_parentid[i]], "body", pos=_numbers(m.body_pos[i]), quat=_numbers(m.body_quat[i])
-            )
-            bodies.append(body)
-            for j in range(m.body_jntadr[i], m.body_jntadr[i] + m.body_jntnum[i]):
-                kind = "hinge" if int(m.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_HINGE) else "slide"
-                ElementTree.SubElement(
-                    body, "joint", name=m.joint(j).name, type=kind, pos=_numbers(m.jnt_pos[j]), axis=_numbers(m.jnt_axis[j]),
-                    ref=_numbers(m.qpos0[j : j + 1]),
-                )  # fmt: skip
-            if m.body_mass[i] > 0.0:
-                ElementTree.SubElement(
-                    body, "inertial", pos=_numbers(m.body_ipos[i]), quat=_numbers(m.body_iquat[i]),
-                    mass=_numbers(m.body_mass[i : i + 1]), diaginertia=_numbers(m.body_inertia[i]),
-                )  # fmt: skip
-        ElementTree.indent(root)
-        return ElementTree.tostring(root, encoding="unicode") + "\n"
+        return written(self._model)
 
     def _at(self, name: str, where: str) -> int:
         if name not in self.others:
@@ -206,34 +183,28 @@ def _find(name: str, folder: Path) -> Path:
     path = folder / name
     if path.is_file():
         if not path.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"arm.model: expected an MJCF file in {folder}, got {name!r}")
+            raise InputError(f"arm.model: expected an MJCF or URDF file in {folder}, got {name!r}")
         return path
     if "/" not in name and "\\" not in name and shipped(name).is_file():
         return shipped(name)
-    raise InputError(f"{path}: arm.model: expected an MJCF file, no such file {name!r}")
+    raise InputError(f"{path}: arm.model: expected an MJCF or URDF file, no such file {name!r}")
 
 
-def _model_of(path: Path, read: Callable[[], mujoco.MjSpec]) -> mujoco.MjModel:
-    try:
-        spec = read()
-        flags = int(spec.option.disableflags)
-        model = spec.compile()
-    except ValueError as error:
-        raise InputError(f"{path}: not a readable MJCF: {' '.join(str(error).split())}") from error
-    if flags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
-        raise InputError(f"{path}: option.flag.gravity: expected gravity, which is disabled")
-    strength = float(np.linalg.norm(model.opt.gravity))
-    if abs(strength - GRAVITY) > _GRAVITY_SLACK * GRAVITY:
-        raise InputError(f"{path}: option.gravity: expected {GRAVITY} m/s² in some direction, got {strength:g} m/s²")
-    for i in range(model.njnt):
-        if int(model.jnt_type[i]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
-            raise InputError(
-                f"{path}: joint {model.joint(i).name}: expected an arm of hinges and slides, got another kind"
-            )
-    model.dof_armature[:] = 0.0
-    model.tendon_armature[:] = 0.0
-    return model
+def external_torques(mjcf: str, names: Sequence[str], angles: np.ndarray, torques: np.ndarray) -> np.ndarray:
+    """Return the torque on each joint of pure torques on the links about their own axes, shape (n, joints) [N·m].
 
-
-def _numbers(values: np.ndarray) -> str:
-    return " ".join(repr(float(x)) for x in values)
+    Args:
+      mjcf: of the arm, as of `arm_model.written`, with these joints only, by `names`.
+      angles: of the joints, shape (n, joints) [rad]; torques: on their links, shape (n, joints) [N·m].
+    """
+    model = mujoco.MjModel.from_xml_string(mjcf)
+    data, found = mujoco.MjData(model), np.zeros_like(torques)
+    at, turned = [model.joint(name).id for name in names], np.zeros((3, model.nv))
+    for k in np.flatnonzero(np.any(torques != 0.0, axis=1)):
+        data.qpos[at] = angles[k]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        for joint, torque in zip(at, torques[k], strict=True):
+            mujoco.mj_jacBody(model, data, None, turned, model.jnt_bodyid[joint])
+            found[k] += (torque * data.xaxis[joint] @ turned)[at]
+    return found

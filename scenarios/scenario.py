@@ -346,6 +346,10 @@ class Scenario(Strict):
         copy._given = self._given | dict(joints)
         return copy
 
+    def in_folder(self, folder: Path) -> Self:
+        """Return the scenario with absolute paths of its motions' files, which were relative to a folder."""
+        return self.model_copy(update={"motions": [motion.in_folder(folder) for motion in self.motions]})
+
     def load_joint(self, folder: Path | None = None) -> tuple[Joint, Joint]:
         """Return the plant's joint and the one that the estimators know, with the scenario's sensors."""
 
@@ -445,8 +449,7 @@ def load_scenario(
         raise InputError(
             f"{path}: arm: expected the scenario of a joint, got that of an arm: `flexspline run` takes one"
         )
-    found = parse_changed(data, Scenario, path, changes)
-    return found.model_copy(update={"motions": [m.in_folder(path.parent) for m in found.motions]}), path.parent
+    return parse_changed(data, Scenario, path, changes).in_folder(path.parent), path.parent
 
 
 def parse_changed(data: dict[str, Any], model: type[M], path: Path, changes: list[str] | None) -> M:
@@ -518,9 +521,9 @@ def put_all(data: dict[str, Any], changes: Mapping[str, Any], where: str) -> Non
 
 
 def _from_here(key: str, value: Any) -> Any:
-    """Return a change's value; a joint's path is relative to the current folder, not to the scenario's."""
-    is_joint = key.rpartition(".")[2] in ("joint", "known_joint")
-    if is_joint and str(value).endswith(".yaml") and Path(str(value)).is_file():
+    """Return a change's value; a path of a joint or model is relative to the current folder, not to the scenario's."""
+    is_path = key == "model" or (key.rpartition(".")[2] in ("joint", "known_joint") and str(value).endswith(".yaml"))
+    if is_path and Path(str(value)).is_file():
         return str(Path(str(value)).resolve())
     return str(value) if isinstance(value, Path) else value
 

@@ -1,6 +1,6 @@
-"""Joints in series: one MuJoCo model of several joints, each on the link of the one before.
+"""Joints in series: one MuJoCo model of several joints, on each other's links or on the hinges of a user's arm.
 
-A joint's axis is perpendicular to its link, which points straight down at zero; `turn` rotates it about the link
+In `build`, a joint's axis is perpendicular to its link, which points straight down at zero; `turn` rotates it about the link
 before it against that one's axis. An arm of parallel axes moves in a vertical plane. A joint's `Mounting` is its link
 with all that is fixed to it, including housing and motor of the next joint: rotors and wave generators have inertia
 about their axis and no mass. A mounting states inertia Jl and gravity moment Mg but no mass; the link's is
@@ -23,6 +23,7 @@ from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.parameters import GRAVITY
 from . import native, plant
+from .attach import attach_record
 from .shape import shape
 
 _MASSLESS = 1e-9  # kg: MuJoCo needs a mass
@@ -35,15 +36,15 @@ class ArmJoint:
     Attributes:
       name: in the arm.
       joint: its description.
-      record: parameters with its load, shape (1,).
-      length: from its axis to the next joint's, along its link [m].
+      record: parameters with its load, shape (1,); on a user's arm, its load is that of the arm's bodies.
+      length: from its axis to the next joint's, along its link [m]; turn: not of a user's arm.
       turn: of its axis about the link before it, against that one's axis [rad].
     """
 
     name: str
     joint: Joint
     record: np.ndarray
-    length: float
+    length: float = 0.0
     turn: float = 0.0
 
     @property
@@ -87,6 +88,45 @@ def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_cu
         at = arm.body(one.prefix + "link")
     with native.quiet():
         return arm.compile()
+
+
+def on_hinges(mjcf: str, joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP) -> mujoco.MjModel:
+    """Build the MuJoCo model of joints on the hinges of an arm (`attach.attach`).
+
+    A wrench sensor is in each hinge: its y axis is opposite to the hinge's, as in a single joint, and its z axis points
+    away from the link's centre of mass.
+
+    Args:
+      mjcf: masses and hinges, as of `models.arm_model.reduced`.
+      joints: by the names of their hinges.
+      timestep: step of the integrator [s].
+
+    Raises:
+      InputError: as of `attach.attach`.
+    """
+    spec = mujoco.MjSpec.from_string(mjcf)
+    plant.set_options(spec, timestep)
+    centres = spec.compile().body_ipos
+    for one in joints:
+        hinge, site = spec.joint(one.name), one.prefix + "force_torque"
+        hinge.parent.add_site(name=site, pos=hinge.pos, quat=_sensing(hinge, centres[hinge.parent.id]))
+        for name, kind in (("force", mujoco.mjtSensor.mjSENS_FORCE), ("torque", mujoco.mjtSensor.mjSENS_TORQUE)):
+            spec.add_sensor(name=one.prefix + name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+        attach_record(spec, one.name, one.record)
+    with native.quiet():
+        return spec.compile()
+
+
+def _sensing(hinge: mujoco.MjsJoint, centre: np.ndarray) -> np.ndarray:
+    """Return the orientation of a hinge's wrench sensor, shape (4,); `centre`: of the link's mass."""
+    y = -hinge.axis / np.linalg.norm(hinge.axis)
+    rough = [hinge.pos - centre, *np.eye(3)]
+    across = [one - (one @ y) * y for one in rough]
+    z = next(one for one, whole in zip(across, rough, strict=True) if one @ one > 1e-6 * (whole @ whole))
+    z = z / np.linalg.norm(z)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.stack([np.cross(y, z), y, z], axis=1).ravel())
+    return quat
 
 
 def rigid(joints: Sequence[ArmJoint]) -> str:

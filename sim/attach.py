@@ -47,14 +47,19 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
     Raises:
       InputError: no such hinge, a model that does not compile, a timestep that is too long.
     """
+    return attach_record(spec, joint_name, joint.record())
+
+
+def attach_record(spec: mujoco.MjSpec, joint_name: str, record: np.ndarray) -> Attached:
+    """Put the laws of a parameter record, shape (1,), on a hinge; otherwise as `attach`."""
     plugin.register()
-    record = joint.record()
+    record = record.copy()
     p = record[0]
     _check_hinge(spec, joint_name)
     if p["flexible_share"] > 0:
         p["flexible_share"] = 0.0
         text = f"joint {joint_name!r}: the flexible part of its link is left out, as the model has its own bodies"
-        warnings.warn(text, InputWarning, stacklevel=3)
+        warnings.warn(text, InputWarning, stacklevel=4)
     _check_timestep(spec, joint_name, p)
     before = _compiled(spec)
     hinge = _hinge(before, joint_name)

@@ -25,7 +25,7 @@ from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
 from .drive import control
-from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, put_record, state_of
+from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, instance, put_record, state_of
 from .sensors import distort, low_pass, sample
 
 CONTROL_PERIOD = 0.001
@@ -49,18 +49,19 @@ _WRENCH_AT = SENSED.index(WRENCH[0])
 _JOINT_AXIS = SENSED.index("torque_y")
 
 
-_FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "plugin_state", "disableflags")
+_FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "xaxis", "sensordata", "plugin_state", "disableflags")
 _ADDRESSES = np.dtype(
     [
         (name, np.int64)
         for name in (
-            *_FIELDS, "current", "memory", "force", "torque", "link_body", "coordinate", "motor",
+            *_FIELDS, "current", "memory", "force", "torque", "link_body", "link_joint", "rotor", "wave_generator", "link",
+            "motor",
         )
     ]
 )  # fmt: skip
 """Addresses of a joint's data: fields in MuJoCo's structures (`native.offsets`), the current in `act` (−1: none),
-`plant.memory` in the plugin state, sensors in `sensordata`, the numbers of the link's body, the first coordinate,
-the motor."""
+`plant.memory` in the plugin state, sensors in `sensordata`, the numbers of the link's body and joint, the three
+coordinates, the motor."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ class ClosedLoop:
         self._alive = model, data, steps, kept  # keep alive: compiled code uses their addresses
         self._constant = (
             native.function_address("mj_step"), model._address, data._address,
-            np.concatenate([_addresses(model, one.prefix) for one in joints]), substeps, timestep,
+            np.concatenate([_addresses(model, data, one.prefix) for one in joints]), substeps, timestep,
             np.concatenate(records), sensors, controller, estimators, commanded,
             np.zeros(sensors.shape), drive, given.stamps[:, 0].copy(), crosstalk,
         )  # fmt: skip
@@ -293,7 +294,7 @@ class _Took(NamedTuple):
     seen: np.ndarray
 
 
-def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
+def _addresses(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> np.ndarray:
     at = np.zeros(1, _ADDRESSES)
     for name in _FIELDS:
         at[name] = native.offsets()[name]
@@ -301,8 +302,10 @@ def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
     at["current"] = plant.activation(model, prefix + "motor") if model.actuator_actnum[motor] else -1
     at["memory"] = model.plugin_stateadr[plant.instance(model, prefix)]
     at["force"], at["torque"] = (model.sensor(prefix + name).adr[0] for name in ("force", "torque"))
-    at["link_body"] = model.body(prefix + "link").id
-    at["coordinate"] = model.joint(prefix + "rotor").dofadr[0]
+    at["link_body"] = model.site(prefix + "force_torque").bodyid[0]
+    _, places = instance(data, plant.instance(model, prefix))[0]
+    at["rotor"], at["wave_generator"], at["link"] = places  # in qpos and qvel: all joints are hinges
+    at["link_joint"] = model.dof_jntid[places[LINK]]
     at["motor"] = model.actuator_ctrladr[motor]
     return at
 
@@ -350,7 +353,7 @@ def _loop(constant, drives, took, failed, begin, end):
     ctrl = floats_at(word_at(data + 8 * at.ctrl))
     sensordata = floats_at(word_at(data + 8 * at.sensordata))
     qpos, qvel = floats_at(word_at(data + 8 * at.qpos)), floats_at(word_at(data + 8 * at.qvel))
-    applied = floats_at(word_at(data + 8 * at.xfrc_applied))
+    applied, axes = floats_at(word_at(data + 8 * at.xfrc_applied)), floats_at(word_at(data + 8 * at.xaxis))
     memory = floats_at(word_at(data + 8 * at.plugin_state))
     disabled = ints_at(model + 4 * at.disableflags)
 
@@ -377,8 +380,8 @@ def _loop(constant, drives, took, failed, begin, end):
             # Views of arrays cost more than the arithmetic: make each once.
             angle, speed, raw_of = theta[j], before[j], raw[j]
             seen_of, sensor, its_noise = seen[j], sensors[j], noise_of[j]
-            for s in range(3):
-                angle[s], speed[s] = qpos[at.coordinate + s], qvel[at.coordinate + s]
+            angle[ROTOR], angle[WAVE_GENERATOR], angle[LINK] = qpos[at.rotor], qpos[at.wave_generator], qpos[at.link]
+            speed[ROTOR], speed[WAVE_GENERATOR], speed[LINK] = qvel[at.rotor], qvel[at.wave_generator], qvel[at.link]
             memory[at.memory + TEMPERATURE] = temperature[j, k]
             if at.current >= 0:
                 current[j] = act[at.current]
@@ -419,13 +422,16 @@ def _loop(constant, drives, took, failed, begin, end):
 
             # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
             ctrl[motor[j]] = _input(command, j, first, delay[j], substeps, Kt[j])
-            applied[6 * at.link_body + 4] = -0.5 * (external[j, k] + (external[j, k - 1] if k > 0 else 0.0))
+            pushed = 0.5 * (external[j, k] + (external[j, k - 1] if k > 0 else 0.0))
+            for s in range(3):
+                applied[6 * at.link_body + 3 + s] = pushed * axes[3 * at.link_joint + s]
         call_step(step, model, data)
         for j in range(joints):
             p, at = record[j], addresses[j]
             angle, raw_of, seen_of, sensor, its_noise = theta[j], raw[j], seen[j], sensors[j], noise_of[j]
-            for s in range(3):
-                omega[s] = 0.5 * (before[j, s] + qvel[at.coordinate + s])
+            omega[ROTOR] = 0.5 * (before[j, ROTOR] + qvel[at.rotor])
+            omega[WAVE_GENERATOR] = 0.5 * (before[j, WAVE_GENERATOR] + qvel[at.wave_generator])
+            omega[LINK] = 0.5 * (before[j, LINK] + qvel[at.link])
             bristle, dahl = memory[at.memory + BRISTLE], memory[at.memory + DAHL]
             state = state_of(angle, omega, bristle, dahl, current[j], time, temperature[j, k])
             b = dynamics.balance(state, p)
@@ -453,7 +459,8 @@ def _loop(constant, drives, took, failed, begin, end):
             for s in range(channels):
                 if sensor[s].at_step != 0.0:
                     reading_of[j, k, s] = _read(s, k, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor)
-            applied[6 * at.link_body + 4] = -external[j, k]
+            for s in range(3):
+                applied[6 * at.link_body + 3 + s] = external[j, k] * axes[3 * at.link_joint + s]
 
         # The other steps of the tick, without MuJoCo's sensors, which cost a tenth of a step.
         flags = disabled[0]

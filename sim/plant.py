@@ -169,13 +169,17 @@ def activation(model: mujoco.MjModel, actuator: str) -> int:
     return int(model.actuator_actadr[model.actuator(actuator).id])
 
 
-def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
+def set_options(spec: mujoco.MjSpec, timestep: float) -> None:
     spec.option.timestep = timestep
     # No contacts, and no joint limits.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT)
     # A diverged motion stays visible instead of restarting at zero.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+
+def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
+    set_options(spec, timestep)
     for name, inertia in (("rotor", p["Jm"]), ("wave_generator", p["Jw"])):
         body = spec.body(name)
         body.explicitinertial = True

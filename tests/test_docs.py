@@ -42,7 +42,7 @@ MADE = {
     "joint.yaml", "diagnosis/joint.yaml", "known_joint.yaml", "tuned.yaml", "summary.md", "summary.csv",
     "diagnosis.json", "DIR/NAME.yaml", "study.yaml", "cause.py", "models/causes/NAME.py", "my_filter.py",
     "my_cause.py", "arm.yaml", "my_sensor.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml", "my_push.yaml",
-    "my_study.yaml", "my_arm.yaml", "my_log.yaml", "my_log.csv", "friction.csv",
+    "my_study.yaml", "my_arm.yaml", "my_robot.yaml", "my_log.yaml", "my_log.csv", "friction.csv",
 }  # fmt: skip
 """Files that commands or people make, and patterns."""
 BUILT = re.compile(r"(?:reference/\w+|examples)\.md")
@@ -128,9 +128,10 @@ def test_scenario_and_study_are_read():
     parse(study, Study, "the study")
 
 
-def test_the_arm_is_read():
-    (text,) = snippets(ROOT / "docs" / "arms.md", "yaml")
-    assert [joint.name for joint in parse(yaml.safe_load(text), ArmScenario, "the arm").arm] == ["shoulder", "elbow"]
+def test_the_arms_are_read():
+    arms = [parse(yaml.safe_load(text), ArmScenario, "the arm") for text in snippets(ROOT / "docs" / "arms.md", "yaml")]
+    assert [arm.name for arm in arms] == ["my_arm", "my_robot"]
+    assert all([joint.name for joint in arm.arm] == ["shoulder", "elbow"] for arm in arms)
 
 
 def test_mappings_are_read():

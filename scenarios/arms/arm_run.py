@@ -10,7 +10,7 @@ import numpy as np
 
 from ...estimator.estimator import KnownJoint
 from ...models.arm import ArmRecord, ArmSpec
-from ...models.arm_dynamics import Arm
+from ...models.arm_dynamics import Arm, external_torques
 from ...models.files import yaml_text
 from ...models.joint_parts import Mounting
 from ...models.output import output_folder
@@ -40,7 +40,7 @@ def run_arm(
 
     Args:
       scenario: to run.
-      folder: of the scenario's file, to which joints' paths are relative.
+      folder: of the scenario's file, to which paths of joints and model are relative.
       threads: filters at a time; the result does not depend on it.
       records: parameters of other plants, such as with hidden effects, by the joint's name, shape (1,) each.
 
@@ -56,9 +56,13 @@ def run_arm(
     joints = [
         ArmJoint(one.name, e.joint, e.record, one.length, one.turn) for one, e in zip(scenario.arm, alone, strict=True)
     ]
-    bolted = [scenario_of.mount(e.known_joint) for scenario_of, e in zip(scenario.arm, alone, strict=True)]
-    known = [replace(one, record=_links(mounting)) for one, mounting in zip(joints, bolted, strict=True)]
-    mjcf = plant.rigid(known)
+    if scenario.model is None:
+        bolted = [scenario_of.mount(e.known_joint) for scenario_of, e in zip(scenario.arm, alone, strict=True)]
+        mjcf = plant.rigid([replace(one, record=_links(load)) for one, load in zip(joints, bolted, strict=True)])
+        model = plant.build(joints, scenario.timestep)
+    else:
+        mjcf = scenario.masses(folder)
+        model = plant.on_hinges(mjcf, joints, scenario.timestep)
     middle = {
         name: float(np.median(e.command)) if e.scenario.mode == "position" else e.start
         for name, e in zip(names, alone, strict=True)
@@ -70,18 +74,18 @@ def run_arm(
         own = _alone(scenario, e.scenario).model_copy(update={"link": link, "mounting": ""})
         described = KnownJoint.of(e.known_joint, link)
         experiments.append(replace(e, scenario=own, known=described))
-    model = plant.build(joints, scenario.timestep)
     loop = ClosedLoop(model, [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)])
     loop.advance(len(alone[0].command))
     for i, e in enumerate(experiments):
         e.check(loop, place=i)
     done = [e.completed(found) for e, found in zip(experiments, loop.simulations, strict=True)]
     angles = {name: np.ascontiguousarray(s.readings["link_position"]) for name, s in zip(names, done, strict=True)}
+    true_angles = np.stack([s.truth["link_position"] for s in done], axis=1)
+    pushes = external_torques(mjcf, names, true_angles, np.stack([e.external_torque for e in experiments], axis=1))
     runs = {}
     for i, (name, e, s) in enumerate(zip(names, experiments, done, strict=True)):
         others_angles = {other: angle for other, angle in angles.items() if other != name}
-        beyond = np.sum([one.external_torque for one in experiments[i:]], axis=0)
-        place = Place(ArmRecord(ArmSpec(model=_MJCF, joint=name), mjcf, others_angles), beyond)
+        place = Place(ArmRecord(ArmSpec(model=_MJCF, joint=name), mjcf, others_angles), pushes[:, i].copy())
         signals = signals_of(s)
         link, load = Arm.of_text(place.arm.spec, mjcf).of(
             signals.time, angles[name], others_angles, (slice(0, len(signals.time)),)
@@ -114,7 +118,7 @@ def _alone(scenario: ArmScenario, joint: Scenario) -> Scenario:
 def save_arm(
     scenario: ArmScenario, runs: dict[str, Run], out: Path, views: Sequence[View] = (), within: Path | None = None
 ) -> list[Path]:
-    """Write the runs of an arm's joints: a run folder each, and `arm.yaml`, to run it again.
+    """Write the runs of an arm's joints: a run folder each, and `arm.yaml`, to run it again, with its model's masses.
 
     Args, Raises: as `run_folder.save_run`.
     """
@@ -123,6 +127,10 @@ def save_arm(
     for joint in data["arm"]:
         joint["joint"], joint["known_joint"] = f"{joint['name']}/joint.yaml", f"{joint['name']}/known_joint.yaml"
         joint["plant"], joint["sensors"] = {}, {}
-    with output_folder(out, "arm", writes=("arm.yaml",)) as folder:
+    place = next(iter(runs.values())).place
+    with output_folder(out, "arm", writes=("arm.yaml", _MJCF)) as folder:
+        if scenario.model is not None and place is not None:
+            data["model"], data["positions"] = _MJCF, {}
+            (folder / _MJCF).write_text(place.arm.mjcf, encoding="utf-8")
         (folder / "arm.yaml").write_text(yaml_text(data), encoding="utf-8")
     return folders

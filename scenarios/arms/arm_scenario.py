@@ -1,4 +1,4 @@
-"""Scenarios of an arm: YAML files that describe the motion of several joints in series."""
+"""Scenarios of an arm: YAML files that describe the motion of several joints, in series or on hinges of a model."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pydantic import Field, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from ...models.arm_model import reduced
 from ...models.errors import InputError
 from ...models.files import Strict, parse
 from ...models.joint import Joint
@@ -23,13 +24,15 @@ from ..scenario import Scenario, parse_changed, put_all, read_scenario, shipped_
 _SHARED = ("duration", "timestep")
 _COMMON = (*_SHARED, "seed", "format")
 """Keys next to `arm`, for all joints."""
+_OF_THE_MODEL = ("mounting", "link", "length", "turn")
+"""Keys of a joint that a model of the arm replaces."""
 
 
 class JointInArm(Scenario):
     """A joint of an arm: a scenario without the common keys. A disturbance is a torque on its link."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*$")]
-    """Name in the arm, of its folder, and of the column of its angle in the others' recordings."""
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    """Name in the arm (with `model`: of its hinge), of its folder, and of the column of its angle in the others' recordings."""
     length: Annotated[float, Field(gt=0, le=10, description="from its axis to the next axis, m")] = 0.4
     turn: Annotated[
         float,
@@ -66,7 +69,8 @@ class JointInArm(Scenario):
 
 
 class ArmScenario(Strict):
-    """An experiment with joints in series, from the base to the tip; with all angles zero it points straight down."""
+    """An experiment with joints in series, from the base to the tip, that with all angles zero points straight down; or with
+    joints on hinges of a model."""
 
     format: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -77,8 +81,12 @@ class ArmScenario(Strict):
     timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream; joints have different streams."""
-    arm: Annotated[list[JointInArm], Field(min_length=1, max_length=12)]
-    """Joints, from the base to the tip."""
+    model: str | None = None
+    """MJCF or URDF of the arm, relative to the scenario's file: masses, axes and gravity. Without it, links are in series."""
+    positions: dict[str, float] = {}
+    """Positions [rad], [m] at which other joints of the model are held; by default where the model has them."""
+    arm: Annotated[list[JointInArm], Field(min_length=1, max_length=64)]
+    """Joints, from the base to the tip; with a model, those of its hinges that have a drive, in any order."""
 
     @model_validator(mode="before")
     @classmethod
@@ -109,12 +117,11 @@ class ArmScenario(Strict):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"arm.{i}.name: expected another name, got {name!r} again")
-        for i, joint in enumerate(self.arm):
-            if joint.disturbances and any(before.turn for before in self.arm[: i + 1]):
-                raise ValueError(
-                    f"arm.{i}.disturbances: expected none on a joint whose axis, or one before it, is turned (its torque on the "
-                    "joints before it would depend on their angles)"
-                )
+        if self.model is None and self.positions:
+            raise ValueError("positions: expected them with model, got none")
+        for i, joint in enumerate(self.arm) if self.model is not None else ():
+            for key in joint.model_fields_set.intersection(_OF_THE_MODEL):
+                raise ValueError(f"arm.{i}.{key}: expected none with model, which has the links, got one")
         return self
 
     def with_joints(self, joints: Mapping[str, Joint]) -> ArmScenario:
@@ -129,9 +136,30 @@ class ArmScenario(Strict):
         """Return plain data, as in a file, with the common keys once; `stated`: without defaults."""
         data = self.model_dump(mode="json", exclude_none=True, exclude_unset=stated)
         for joint in data["arm"]:
-            for key in _COMMON:
+            for key in (*_COMMON, *(_OF_THE_MODEL if self.model is not None else ())):
                 joint.pop(key, None)
         return data
+
+    def masses(self, folder: Path | None) -> str:
+        """Return the masses and the hinges of its joints as an MJCF's text, from its model; `folder`: of the scenario's file.
+
+        Raises:
+          InputError: as of `arm_model.reduced`; positions commanded beyond a hinge's range.
+        """
+        where, names = f"scenario {self.name}", [joint.name for joint in self.arm]
+        path = (folder or Path()) / str(self.model)
+        if not path.is_file():
+            raise InputError(f"{where}: model: expected an MJCF or URDF file, no such file {str(path)!r}")
+        text, ranges = reduced(path, names, self.positions, where)
+        for i, (joint, (low, high)) in enumerate(zip(self.arm, ranges, strict=True)):
+            if joint.mode == "position":
+                least, most = (float(of(joint.commands()[0])) for of in (np.min, np.max))
+                if least < low or most > high:
+                    raise InputError(
+                        f"{where}: arm.{i}.trajectory: expected positions of {joint.name} from {low:g} to {high:g} rad, its "
+                        f"range in {path}, got {least:g} to {most:g} rad"
+                    )
+        return text
 
 
 def _seed(seed: int, name: str) -> int:
@@ -155,8 +183,12 @@ def load_any(
     """
     data, path = read_scenario(source, changes, seed, shipped_arms())
     if "arm" in data:
-        return parse_changed(data, ArmScenario, path, changes), path
-    return parse_changed(data, Scenario, path, changes), path
+        return _placed(parse_changed(data, ArmScenario, path, changes), path.parent), path
+    return parse_changed(data, Scenario, path, changes).in_folder(path.parent), path
+
+
+def _placed(scenario: ArmScenario, folder: Path) -> ArmScenario:
+    return scenario.model_copy(update={"arm": [joint.in_folder(folder) for joint in scenario.arm]})
 
 
 def load_arm(
@@ -171,7 +203,7 @@ def load_arm(
     put_all(data, changes or {}, str(path))
     if "arm" not in data:
         raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a single joint")
-    return parse(data, ArmScenario, str(path) if changes else path), path.parent
+    return _placed(parse(data, ArmScenario, str(path) if changes else path), path.parent), path.parent
 
 
 def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | None = None) -> ArmScenario:

@@ -94,3 +94,26 @@ def test_what_is_wrong_with_a_file_is_one_line(tmp_path, text, message):
         path.write_text(text)
     with pytest.raises(InputError, match=message):
         AddedMotion(kind="file", file=str(path)).signal(np.arange(3.0))
+
+
+@pytest.mark.parametrize("arm", [False, True])
+def test_a_file_is_relative_to_its_scenario_in_the_command(tmp_path, flexspline, arm):
+    """`run` once looked for it in the current folder."""
+    (tmp_path / "way.csv").write_text("time,position\n0,0\n0.5,0.1\n1,0.2\n", encoding="utf-8")
+    joint = {
+        "trajectory": [{"time": 0, "position": 0}],
+        "motions": [{"kind": "file", "file": "way.csv"}],
+        "filters": ["model"],
+    }
+    data = {
+        "name": "mine",
+        "duration": 1.0,
+        **({"arm": [joint | {"name": "a"}]} if arm else joint | {"transient": 0.2}),
+    }
+    if arm:
+        data["arm"][0]["transient"] = 0.2
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    code, _, error = flexspline(
+        "run", tmp_path / "mine.yaml", "--out", tmp_path / "out", "--no-figures", "--no-recording"
+    )
+    assert code == 0, error
