@@ -7,25 +7,64 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from .files import Strict
+
+
+class Carried(Strict):
+    """A payload that is picked up and put down.
+
+    Velocities do not jump: it has its carrier's when it is picked up and when it is put down.
+    """
+
+    start: Annotated[float, Field(ge=0)]
+    """It is picked up [s]."""
+    end: float | None = None
+    """It is put down [s]; never by default."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.end is not None and self.end <= self.start:
+            raise ValueError(f"end: expected a time after {self.start:g} s, got {self.end:g} s")
+        return self
+
+    def carried(self, time: np.ndarray) -> np.ndarray:
+        """Return whether it is carried at times [s], shape (n,)."""
+        return (time >= self.start) & (time < (np.inf if self.end is None else self.end))
+
+
+class ArmPayload(Carried):
+    """A payload on a body of an arm."""
+
+    body: str
+    """Body or site of the model; of links in series, the joint's name."""
+    mass: Annotated[float, Field(ge=0)]
+    """[kg]."""
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of its centre in the frame of the body or site [m]."""
+    inertia: Annotated[float, Field(ge=0)] = 0.0
+    """About any axis through its own centre [kg·m²]."""
 
 
 class ArmSpec(Strict):
     """The arm of a joint, in a recording's YAML: `arm: {model: ur3e.xml, joint: shoulder_lift}`.
 
     `positions` [rad] of other joints at rest. Moving joints are columns `arm_<joint>_position`; the rest is as in the
-    MJCF.
+    MJCF. Times of `payloads` are those of the recording's table.
     """
 
     model: str
-    """MJCF of the arm, next to the recording."""
+    """MJCF or URDF of the arm, next to the recording."""
     joint: str
     """Its joint."""
     positions: dict[str, float] = {}
     """Angles [rad] of other joints at rest, by name."""
+    payloads: tuple[ArmPayload, ...] = ()
+    """Masses that the arm picks up and puts down."""
 
 
 @dataclass(frozen=True)

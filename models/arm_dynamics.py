@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 
 from .arm import ArmSpec, Load
-from .arm_model import compiled, read, written
+from .arm_model import compiled, put_payloads, read, weigh, written
 from .errors import InputError, nearest
 from .joint import shipped
 from .joint_parts import Mounting
@@ -67,7 +67,8 @@ class Arm:
                 raise InputError(
                     f"{path}: joint {model.joint(i).name}: expected an arm of hinges and slides, got another kind"
                 )
-        self._data = mujoco.MjData(self._model)
+        self._plants = {(False,) * len(spec.payloads): (model, mujoco.MjData(model))}
+        self._carrying((True,) * len(spec.payloads))  # checks them
         names = [self._model.joint(i).name for i in range(self._model.njnt)]
         if spec.joint not in names:
             raise InputError(
@@ -80,9 +81,18 @@ class Arm:
         for name in spec.positions:
             self._at(name, "arm.positions")
 
+    def _carrying(self, carried: tuple[bool, ...]) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return the arm with some of its payloads."""
+        if carried not in self._plants:
+            spec = mujoco.MjSpec.from_string(self.mjcf())
+            weigh(put_payloads(spec, self.spec.payloads, f"{self.path}: arm."), self.spec.payloads, carried)
+            model = compiled(spec, self.path)
+            self._plants[carried] = model, mujoco.MjData(model)
+        return self._plants[carried]
+
     def mounting(self, positions: Mapping[str, float] | None = None) -> Mounting:
-        """Return the mounting of the joint while the others are at rest at `positions` [rad] (by default those of the
-        YAML)."""
+        """Return the mounting of the joint without payloads while the others are at rest at `positions` [rad] (by default
+        those of the YAML)."""
         q = self._pose(positions or {})
         weight = []
         for angle in (0.0, 0.5 * math.pi):
@@ -98,7 +108,12 @@ class Arm:
         return Mounting(inertia=inertia, gravity_moment=moment, gravity_angle=math.atan2(*weight))
 
     def load(
-        self, time: np.ndarray, position: np.ndarray, positions: Mapping[str, np.ndarray], mounting: Mounting
+        self,
+        time: np.ndarray,
+        position: np.ndarray,
+        positions: Mapping[str, np.ndarray],
+        mounting: Mounting,
+        carried: np.ndarray | None = None,
     ) -> Load:
         """Return the arm's load on the joint while others move.
 
@@ -106,6 +121,7 @@ class Arm:
           time: shape (n,), without gaps [s]; position: of the joint, shape (n,) [rad].
           positions: of the other moving joints, shape (n,) each [rad], by name.
           mounting: the torque is in addition to its weight.
+          carried: whether it carries each of its payloads, shape (payloads, n); none by default.
         """
         n = len(time)
         q = np.tile(self._pose({}), (n, 1))
@@ -117,27 +133,38 @@ class Arm:
         own = a[:, self._joint].copy()
         a[:, self._joint] = 0.0  # τ without inertia times the joint's own acceleration
         inertia, torque = np.zeros(n), np.zeros(n)
+        carried = np.zeros((len(self.spec.payloads), n), dtype=bool) if carried is None else carried
         for k in range(n):
-            inertia[k], torque[k] = self._dynamics(q[k], v[k], a[k])
+            inertia[k], torque[k] = self._dynamics(q[k], v[k], a[k], tuple(carried[:, k].tolist()))
         weight = mounting.gravity_moment * np.sin(position + mounting.gravity_angle)
         return Load(inertia, weight - torque, own)
 
     def of(
-        self, time: np.ndarray, position: np.ndarray, positions: Mapping[str, np.ndarray], parts: tuple[slice, ...]
+        self,
+        time: np.ndarray,
+        position: np.ndarray,
+        positions: Mapping[str, np.ndarray],
+        parts: tuple[slice, ...],
+        stamps: np.ndarray | None = None,
     ) -> tuple[Mounting, Load | None]:
-        """Return mounting and load of a recording; only a mounting if the other joints are at rest.
+        """Return mounting and load of a recording; only a mounting if the other joints are at rest without payloads.
 
         Args:
           time, position: of the joint, shape (n,) each [s], [rad]; `positions`: of other joints, by name.
           parts: samples between gaps.
+          stamps: to which the times of payloads belong, shape (n,) [s]; `time` by default.
         """
+        when = time if stamps is None else stamps
+        carried = np.array([one.carried(when) for one in self.spec.payloads], dtype=bool).reshape(-1, len(time))
         for name in positions:
             self._at(name, "column")
         mounting = self.mounting({name: float(np.median(angle)) for name, angle in positions.items()})
-        if all(float(np.ptp(angle)) <= STILL for angle in positions.values()):
+        if all(float(np.ptp(angle)) <= STILL for angle in positions.values()) and not np.any(carried):
             return mounting, None
         loads = [
-            self.load(time[part], position[part], {name: angle[part] for name, angle in positions.items()}, mounting)
+            self.load(
+                time[part], position[part], {name: x[part] for name, x in positions.items()}, mounting, carried[:, part]
+            )
             for part in parts
         ]
         inertia, torque, own = (
@@ -163,10 +190,12 @@ class Arm:
             q[self._at(name, "arm.positions")] = angle
         return q
 
-    def _dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[float, float]:
+    def _dynamics(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, carried: tuple[bool, ...] | None = None
+    ) -> tuple[float, float]:
         """Return the inertia about the joint's axis [kg·m²] and the torque τ [N·m] of positions, velocities,
-        accelerations."""
-        m, d = self._model, self._data
+        accelerations, with the payloads that are `carried`, none by default."""
+        m, d = self._carrying((False,) * len(self.spec.payloads) if carried is None else carried)
         d.qpos[:], d.qvel[:], d.qacc[:] = q, v, a
         mujoco.mj_kinematics(m, d)
         mujoco.mj_comPos(m, d)

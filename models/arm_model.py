@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from .arm import ArmPayload
 from .errors import InputError, nearest, read_text
 from .mjcf import check_mjcf
 from .parameters import GRAVITY
@@ -165,6 +166,36 @@ def reduced(path: Path, hinges: Sequence[str], positions: Mapping[str, float], w
             )
         q[model.joint(name).qposadr[0]] = value
     return written(model, kept, q), np.array([_range(model, name) for name in hinges])
+
+
+def put_payloads(spec: mujoco.MjSpec, payloads: Sequence[ArmPayload], where: str) -> list[mujoco.MjsBody]:
+    """Add payloads to an arm, as of `written`, as bodies without mass; `weigh` sets it. Return the bodies.
+
+    Raises:
+      InputError: a payload's body does not exist; `where`: start of the message.
+    """
+    added = []
+    for i, one in enumerate(payloads):
+        site, body, place = spec.site(one.body), spec.body(one.body), np.array(one.position)
+        if site is not None:
+            body, turned = site.parent, np.zeros(3)
+            mujoco.mju_rotVecQuat(turned, place, site.quat)
+            place = site.pos + turned
+        if body is None:
+            names = [other.name for other in (*spec.bodies[1:], *spec.sites) if other.name]
+            raise InputError(
+                f"{where}payloads.{i}.body: expected a body or site of the arm, one of {names}, got {one.body!r}"
+                f"{nearest(one.body, names)}"
+            )
+        added.append(body.add_body(name=f"payload_{i}", pos=place))
+        added[-1].explicitinertial, added[-1].ipos = True, [0.0] * 3
+    return added
+
+
+def weigh(bodies: Sequence[mujoco.MjsBody], payloads: Sequence[ArmPayload], carried: Sequence[bool]) -> None:
+    """Set the masses of payloads, of `put_payloads`: their own while they are carried, else none."""
+    for body, one, on in zip(bodies, payloads, carried, strict=True):
+        body.mass, body.inertia = one.mass * on, [one.inertia * on] * 3
 
 
 def _range(model: mujoco.MjModel, name: str) -> tuple[float, float]:

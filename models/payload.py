@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from .arm import Load
+from .arm import Carried, Load
 from .files import Strict
 from .joint_parts import Mounting
 from .motion import differentiated
@@ -48,26 +48,8 @@ class PayloadSpec(Strict):
         )
 
 
-class CarriedMass(PayloadSpec):
-    """A payload that the link picks up and puts down.
-
-    The link's velocity does not jump: the payload has the link's velocity when it is picked up and when it is put down.
-    """
-
-    start: Annotated[float, Field(ge=0)]
-    """It is picked up [s]."""
-    end: float | None = None
-    """It is put down [s]; never by default."""
-
-    @model_validator(mode="after")
-    def _in_order(self) -> CarriedMass:
-        if self.end is not None and self.end <= self.start:
-            raise ValueError(f"end: expected a time after {self.start:g} s, got {self.end:g} s")
-        return self
-
-    def carried(self, time: np.ndarray) -> np.ndarray:
-        """Return whether the link carries it at times [s], shape (n,)."""
-        return (time >= self.start) & (time < (np.inf if self.end is None else self.end))
+class CarriedMass(PayloadSpec, Carried):
+    """A payload that the link picks up and puts down."""
 
 
 def carrying(record: np.ndarray, payloads: Sequence[CarriedMass]) -> np.ndarray:

@@ -80,7 +80,7 @@ class Sidecar(Strict):
         if (self.link is None) == (self.arm is None):
             raise ValueError(f"expected either link or arm, got {'none' if self.link is None else 'both'}")
         if self.arm is not None and self.payloads:
-            raise ValueError("payloads: expected them with link, got arm")
+            raise ValueError("payloads: expected them with link, or in arm with the body that carries them, got arm")
         return self
 
 
@@ -412,7 +412,7 @@ def in_arm(
         arm = Arm(spec, folder)
         positions = {str(joint_of(name)): values for name, values in angles.items()}
         position = _own_angle(recording, lambda: load_joint(recording.joint, home).numbers["N"].value)
-        link, load = arm.of(recording.time, position, positions, recording.segments)
+        link, load = arm.of(recording.time, position, positions, recording.segments, recording.stamps)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return replace(recording, link=link, load=load, arm=ArmRecord(spec, arm.mjcf(), positions))
@@ -437,7 +437,7 @@ def with_load(recording: Recording, gear_ratio: float) -> Recording:
         payloads, link = recording.payloads, recording.link
         return replace(recording, load=load_of(payloads, link, recording.stamps, position, recording.segments))
     arm = Arm.of_text(recording.arm.spec, recording.arm.mjcf)
-    link, load = arm.of(recording.time, position, recording.arm.positions, recording.segments)
+    link, load = arm.of(recording.time, position, recording.arm.positions, recording.segments, recording.stamps)
     return replace(recording, link=link, load=load)
 
 
@@ -477,6 +477,8 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     if sidecar.link is not None:
         data["link"] = sidecar.link.model_dump(mode="json", exclude_defaults=True)
     if arm is not None and sidecar.arm is not None:
+        if not data["arm"]["payloads"]:
+            del data["arm"]["payloads"]
         with write_into_place(folder / sidecar.arm.model) as temporary:
             temporary.write_text(arm.mjcf, encoding="utf-8")
     text = yaml_text(data)

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from ..models.arm import ArmPayload
+from ..models.arm_model import put_payloads, weigh
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.parameters import GRAVITY
@@ -53,13 +55,20 @@ class ArmJoint:
         return f"{self.name}_"
 
 
-def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_current: bool = False) -> mujoco.MjModel:
+def build(
+    joints: Sequence[ArmJoint],
+    timestep: float = plant.TIMESTEP,
+    ideal_current: bool = False,
+    payloads: Sequence[ArmPayload] = (),
+    carried: Sequence[bool] = (),
+) -> mujoco.MjModel:
     """Build the MuJoCo model of joints in series.
 
     Args:
       joints: from the base to the tip, at least one.
       timestep: step of the integrator [s].
       ideal_current: as in `plant.build`.
+      payloads: on links, by their joint's name; carried: whether each is carried.
 
     Returns:
       The model. Coordinates and activations as of `plant.build`, joint by joint; names begin with `ArmJoint.prefix`.
@@ -86,11 +95,19 @@ def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_cu
         except ValueError as error:
             raise InputError(f"{one.joint.mjcf}: cannot be part of an arm: {' '.join(str(error).split())}") from error
         at = arm.body(one.prefix + "link")
+    on_links = [one.model_copy(update={"body": f"{one.body}_link"}) for one in payloads]
+    weigh(put_payloads(arm, on_links, ""), payloads, carried)
     with native.quiet():
         return arm.compile()
 
 
-def on_hinges(mjcf: str, joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP) -> mujoco.MjModel:
+def on_hinges(
+    mjcf: str,
+    joints: Sequence[ArmJoint],
+    timestep: float = plant.TIMESTEP,
+    payloads: Sequence[ArmPayload] = (),
+    carried: Sequence[bool] = (),
+) -> mujoco.MjModel:
     """Build the MuJoCo model of joints on the hinges of an arm (`attach.attach`).
 
     A wrench sensor is in each hinge: its y axis is opposite to the hinge's, as in a single joint, and its z axis points
@@ -100,12 +117,14 @@ def on_hinges(mjcf: str, joints: Sequence[ArmJoint], timestep: float = plant.TIM
       mjcf: masses and hinges, as of `models.arm_model.reduced`.
       joints: by the names of their hinges.
       timestep: step of the integrator [s].
+      payloads: on its bodies and sites; carried: whether each is carried.
 
     Raises:
       InputError: as of `attach.attach`.
     """
     spec = mujoco.MjSpec.from_string(mjcf)
     plant.set_options(spec, timestep)
+    bodies = put_payloads(spec, payloads, "")
     centres = spec.compile().body_ipos
     for one in joints:
         hinge, site = spec.joint(one.name), one.prefix + "force_torque"
@@ -113,6 +132,7 @@ def on_hinges(mjcf: str, joints: Sequence[ArmJoint], timestep: float = plant.TIM
         for name, kind in (("force", mujoco.mjtSensor.mjSENS_FORCE), ("torque", mujoco.mjtSensor.mjSENS_TORQUE)):
             spec.add_sensor(name=one.prefix + name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
         attach_record(spec, one.name, one.record)
+    weigh(bodies, payloads, carried)
     with native.quiet():
         return spec.compile()
 

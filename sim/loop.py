@@ -135,17 +135,17 @@ class Driven:
 
 @dataclass(frozen=True)
 class Change:
-    """Another plant from a tick on: the link of the only joint picks up or puts down a payload.
+    """Another plant from a tick on, after a payload was picked up or put down.
 
     Attributes:
       tick: the first one.
       model: differs from the one before in numbers only.
-      record: its joint's parameter record, shape (1,).
+      record: parameters of the only joint, shape (1,); None: all joints' remain.
     """
 
     tick: int
     model: mujoco.MjModel
-    record: np.ndarray
+    record: np.ndarray | None = None
 
 
 class ClosedLoop:
@@ -162,12 +162,13 @@ class ClosedLoop:
         Args:
           model: of `plant.build` or `arm.build`; it is not changed.
           joints: in the model's order, with as many ticks each.
-          changes: of the plant, of a single joint; a change at tick 0 is the plant from the start on.
+          changes: of the plant; a change at tick 0 is the plant from the start on.
         """
         self._changes = {change.tick: change for change in changes}
         records = [one.record for one in joints]
         if 0 in self._changes:
-            model, records = self._changes[0].model, [self._changes[0].record]
+            model, record = self._changes[0].model, self._changes[0].record
+            records = records if record is None else [record]
         substeps, timestep = round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep)
         model = copy.copy(model)
         given = _Given.of(joints, substeps * timestep)
@@ -250,8 +251,9 @@ class ClosedLoop:
         """Go on with another model and the same state."""
         step, _, *others = self._constant
         self._constant = (step, change.model._address, *others)
-        self._constant[6][:] = change.record
-        put_record(self._alive[1], 0, change.record)
+        if change.record is not None:
+            self._constant[6][:] = change.record
+            put_record(self._alive[1], 0, change.record)
 
 
 class _Given(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from ...models.output import output_folder
 from ...models.parameters import neutral
 from ...sim import arm as plant
 from ...sim.arm import ArmJoint
-from ...sim.loop import ClosedLoop
+from ...sim.loop import Change, ClosedLoop
 from ..experiment import Experiment, estimate, signals_of
 from ..run import Place, Run, run_of
 from ..run_folder import View, save_run
@@ -59,10 +60,10 @@ def run_arm(
     if scenario.model is None:
         bolted = [scenario_of.mount(e.known_joint) for scenario_of, e in zip(scenario.arm, alone, strict=True)]
         mjcf = plant.rigid([replace(one, record=_links(load)) for one, load in zip(joints, bolted, strict=True)])
-        model = plant.build(joints, scenario.timestep)
+        build = partial(plant.build, joints, scenario.timestep, payloads=scenario.payloads)
     else:
         mjcf = scenario.masses(folder)
-        model = plant.on_hinges(mjcf, joints, scenario.timestep)
+        build = partial(plant.on_hinges, mjcf, joints, scenario.timestep, scenario.payloads)
     middle = {
         name: float(np.median(e.command)) if e.scenario.mode == "position" else e.start
         for name, e in zip(names, alone, strict=True)
@@ -74,7 +75,12 @@ def run_arm(
         own = _alone(scenario, e.scenario).model_copy(update={"link": link, "mounting": ""})
         described = KnownJoint.of(e.known_joint, link)
         experiments.append(replace(e, scenario=own, known=described))
-    loop = ClosedLoop(model, [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)])
+    carried = np.array([one.carried(alone[0].scenario.time) for one in scenario.payloads], dtype=bool)
+    carried = carried.reshape(len(scenario.payloads), len(alone[0].command))
+    ticks = np.flatnonzero(np.any(np.diff(carried, axis=1, prepend=False), axis=0))
+    changes = [Change(int(tick), build(carried=carried[:, tick].tolist())) for tick in ticks]
+    driven = [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)]
+    loop = ClosedLoop(build(carried=[False] * len(carried)), driven, changes)
     loop.advance(len(alone[0].command))
     for i, e in enumerate(experiments):
         e.check(loop, place=i)
@@ -85,7 +91,8 @@ def run_arm(
     runs = {}
     for i, (name, e, s) in enumerate(zip(names, experiments, done, strict=True)):
         others_angles = {other: angle for other, angle in angles.items() if other != name}
-        place = Place(ArmRecord(ArmSpec(model=_MJCF, joint=name), mjcf, others_angles), pushes[:, i].copy())
+        spec = ArmSpec(model=_MJCF, joint=name, payloads=tuple(scenario.payloads) if scenario.known_payloads else ())
+        place = Place(ArmRecord(spec, mjcf, others_angles), pushes[:, i].copy())
         signals = signals_of(s)
         link, load = Arm.of_text(place.arm.spec, mjcf).of(
             signals.time, angles[name], others_angles, (slice(0, len(signals.time)),)
@@ -111,7 +118,11 @@ def _alone(scenario: ArmScenario, joint: Scenario) -> Scenario:
     text = (
         f"{joint.name} of the arm {scenario.name}, with the others at the median of their commands. {joint.description}"
     )
-    data |= {"name": f"{scenario.name}_{joint.name}", "description": text.strip()}
+    data |= {
+        "name": f"{scenario.name}_{joint.name}",
+        "description": text.strip(),
+        "known_payloads": scenario.known_payloads,
+    }
     return Scenario.model_construct(**data)
 
 

@@ -8,13 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import mujoco
 import numpy as np
 from pydantic import Field, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from ...models.arm_model import reduced
-from ...models.errors import InputError
+from ...models.arm import ArmPayload
+from ...models.arm_model import put_payloads, reduced
+from ...models.errors import InputError, nearest
 from ...models.files import Strict, parse
 from ...models.joint import Joint
 from ...sim.loop import CONTROL_PERIOD
@@ -58,7 +60,9 @@ class JointInArm(Scenario):
         if self.locked_rotor:
             raise ValueError("locked_rotor: expected a joint that can move, got one whose rotor is held")
         if self.payloads:
-            raise ValueError("payloads: expected none on a joint of an arm (they would also load the joints before it)")
+            raise ValueError(
+                "payloads: expected them next to `arm`, with the body that carries them, got them in a joint"
+            )
         for i, one in enumerate(self.disturbances):
             if one.lever != 0.0:
                 raise ValueError(
@@ -87,6 +91,10 @@ class ArmScenario(Strict):
     """Positions [rad], [m] at which other joints of the model are held; by default where the model has them."""
     arm: Annotated[list[JointInArm], Field(min_length=1, max_length=64)]
     """Joints, from the base to the tip; with a model, those of its hinges that have a drive, in any order."""
+    payloads: list[ArmPayload] = []
+    """Masses that the arm picks up and puts down."""
+    known_payloads: bool = True
+    """Whether the estimators and the recordings know the payloads."""
 
     @model_validator(mode="before")
     @classmethod
@@ -117,6 +125,21 @@ class ArmScenario(Strict):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"arm.{i}.name: expected another name, got {name!r} again")
+        for i, joint in enumerate(self.arm) if self.payloads and self.known_payloads else ():
+            if joint.feedback not in ("none", "sensor"):
+                raise ValueError(
+                    f"known_payloads: expected false, as the filter that is fed back, {joint.feedback} of arm.{i}, does not know "
+                    "them in the loop"
+                )
+        for i, one in enumerate(self.payloads):
+            if one.start >= self.duration:
+                raise ValueError(
+                    f"payloads.{i}.start: expected a time before the end at {self.duration:g} s, got {one.start:g} s"
+                )
+            if self.model is None and one.body not in names:
+                raise ValueError(
+                    f"payloads.{i}.body: expected a joint, one of {names}, got {one.body!r}{nearest(one.body, names)}"
+                )
         if self.model is None and self.positions:
             raise ValueError("positions: expected them with model, got none")
         for i, joint in enumerate(self.arm) if self.model is not None else ():
@@ -151,6 +174,7 @@ class ArmScenario(Strict):
         if not path.is_file():
             raise InputError(f"{where}: model: expected an MJCF or URDF file, no such file {str(path)!r}")
         text, ranges = reduced(path, names, self.positions, where)
+        put_payloads(mujoco.MjSpec.from_string(text), self.payloads, f"{where}: ")
         for i, (joint, (low, high)) in enumerate(zip(self.arm, ranges, strict=True)):
             if joint.mode == "position":
                 least, most = (float(of(joint.commands()[0])) for of in (np.min, np.max))

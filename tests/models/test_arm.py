@@ -225,6 +225,32 @@ def test_an_arm_survives_a_round_trip(folder, tmp_path):
     np.testing.assert_array_equal(pickled.load.torque, again.load.torque)
 
 
+def test_a_measured_recording_states_its_payloads(folder):
+    """Weight and inertia of a mass in the hand, between its times in the table, against the MJCF with that mass."""
+    sidecar = SIDECAR.replace(
+        "}}", "}, payloads: [{start: 0.5, end: 1.2, body: hand, mass: 0.7, position: [0.05, 0, 0.03]}]}"
+    )
+    (folder / "hand.xml").write_text(
+        ARM.replace('<body name="tool">', '<body pos="0.05 0 0.03"><inertial pos="0 0 0" mass="0.7" diaginertia="0 0 0"/></body>'
+                    '<body name="tool">'), encoding="utf-8",
+    )  # fmt: skip
+    r, t = read_recording(write(folder, columns(), sidecar)), columns()["time"]
+    positions = {"elbow": 0.7, "pan": 0.2}
+    light, heavy = (
+        Arm(ArmSpec(model=f"{name}.xml", joint="lift", positions=positions), folder).mounting()
+        for name in ("arm", "hand")
+    )
+    on, q = (t >= 0.5) & (t < 1.2), r["link_position"]
+    assert r.link == light
+    np.testing.assert_allclose(r.load.inertia, np.where(on, heavy.inertia, light.inertia), rtol=1e-9)
+    weight = [m.gravity_moment * np.sin(q + m.gravity_angle) for m in (light, heavy)]
+    np.testing.assert_allclose((weight[0] - r.load.torque)[~on], weight[0][~on], atol=1e-9)
+    inside = on & (t > 0.52) & (t < 1.18)
+    np.testing.assert_allclose((weight[0] - r.load.torque)[inside], weight[1][inside], atol=1e-9)
+    again = read_recording(write_recording(r, folder / "other"))
+    np.testing.assert_allclose(again.load.torque, r.load.torque, atol=1e-9)
+
+
 def test_a_gap_is_not_a_jump_of_the_arm(folder):
     """Positions on both sides of a gap do not give a velocity."""
     t = np.concatenate([np.arange(200) * 5e-3, 10 + np.arange(200) * 5e-3])
@@ -248,6 +274,8 @@ def test_a_sample_between_gaps_has_no_velocity(folder):
         (SIDECAR.replace("elbow: 0.7", "elow: 0.7"), {}, ["arm.positions", "did you mean 'elbow'"]),
         (SIDECAR.replace("elbow: 0.7", "lift: 0.7"), {}, ["expected another joint of the arm"]),
         (SIDECAR.replace("joint: lift", "joint: slide"), {}, ["expected a hinge"]),
+        (SIDECAR.replace("}}", "}, payloads: [{start: 1, body: hnd, mass: 1}]}"), {},
+         ["arm.payloads.0.body", "did you mean 'hand'"]),
         (SIDECAR.replace("arm.xml", "amr.xml"), {}, ["arm.model", "no such file 'amr.xml'"]),
         (SIDECAR.replace("arm.xml", "../arm.xml"), {}, ["arm.model"]),
         (SIDECAR + "link: {inertia: 1, gravity_moment: 1}\n", {}, ["expected either link or arm, got both"]),

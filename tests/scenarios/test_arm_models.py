@@ -303,6 +303,74 @@ def test_an_external_torque_of_a_link_turned_away(six, tmp_path):
     )  # its direction is held for 1 ms
 
 
+PAYLOAD = {"start": 0.7, "end": 1.9, "mass": 0.5, "body": "tool", "position": [0.02, 0.01, 0.05], "inertia": 0.001}
+HELD = (
+    '<body pos="0.02 0 0.1" euler="0.3 0 0"><body pos="0.02 0.01 0.05"><inertial pos="0 0 0" mass="0.5" '
+    'diaginertia="0.001 0.001 0.001"/></body></body><site name="tool"'
+)
+APART = (slice(60, 690), slice(760, 1890), slice(1960, 2540))
+
+
+@pytest.fixture(scope="module")
+def carrying(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("carrying")
+    return fs.simulate_arm(written(folder, scenario(6, payloads=[PAYLOAD]), mjcf(6)))
+
+
+def test_a_payload_at_a_site(carrying):
+    """All joints' torques are `mj_inverse`'s of the user's model, with a body of that mass while it is carried."""
+    with_it = mjcf(6).replace('<site name="tool"', HELD)
+    got, light, heavy = torques(carrying), *(inverse(text, carrying, slide=0.03) for text in (mjcf(6), with_it))
+    assert np.all(np.std((heavy - light)[760:1890], axis=0) > 0.01)
+    for part, expected in zip(APART, (light, heavy, light), strict=True):
+        assert close(got, expected, part)
+
+
+def test_energy_of_an_arm_that_picks_up_in_motion(carrying):
+    """Work of the joints = change of energy while a payload is carried, and while none is."""
+    for part, text in zip(APART, (mjcf(6), mjcf(6).replace('<site name="tool"', HELD), mjcf(6)), strict=True):
+        model, data = bare(text, slide=0.03)
+        at, q, v, _ = motion(carrying, model)
+        energy = []
+        for position, velocity in zip(q, v, strict=True):
+            data.qpos[at], data.qvel[at] = position, velocity
+            mujoco.mj_forward(model, data)
+            energy.append(data.energy.sum())
+        power = np.sum(torques(carrying) * v, axis=1)[part]
+        work = np.concatenate([[0.0], np.cumsum(0.5e-3 * (power[1:] + power[:-1]))])
+        error = np.array(energy)[part] - work
+        print(f"{np.ptp(error):.5f} of {np.ptp(energy):.3f} J")
+        assert np.ptp(error) < 3e-3 * np.ptp(energy)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_recordings_know_a_payload_or_not(tmp_path, flexspline, carrying, known):
+    """A recording's own load is what the joint holds if it knows the payload; written, read, and run again."""
+    data = scenario(6, payloads=[PAYLOAD], known_payloads=known)
+    path = written(tmp_path, data, mjcf(6))
+    code, _, error = flexspline("run", path, "--no-figures", "--no-recording", "--out", tmp_path / "runs")
+    assert code == 0, error
+    again = tmp_path / "runs" / "mine" / "arm.yaml"
+    code, _, error = flexspline("run", again, "--no-figures", "--no-recording", "--out", tmp_path / "again")
+    assert code == 0, error
+    for name in ("j0", "j2", "j4"):
+        table = f"mine/{name}/mine_{name}.parquet"
+        assert (tmp_path / "runs" / table).read_bytes() == (tmp_path / "again" / table).read_bytes()
+        r, run = read_recording(tmp_path / "runs" / table), carrying[name]
+        np.testing.assert_array_equal(r["joint_torque"], run.reading("joint_torque"))
+        sidecar = yaml.safe_load((tmp_path / "runs" / table).with_suffix(".yaml").read_text(encoding="utf-8"))
+        assert ("payloads" in sidecar["arm"]) == known
+        own = r.link.inertia * rate(run.truth("link_velocity"))
+        own += r.link.gravity_moment * np.sin(run.truth("link_position") + r.link.gravity_angle) - r.torque_of_arm
+        error = np.std(np.convolve(own - run.truth("joint_torque"), SMOOTH, mode="same")[APART[1]])
+        print(f"{name}: {error:.4f} N·m")
+        assert error < 0.02 if known else error > 0.05
+    code, _, error = flexspline("report", tmp_path / "runs" / "mine", "--out", tmp_path / "page.html")
+    assert code == 0, error
+    sentence = "The estimators do not know the simulated joint exactly."
+    assert (sentence in (tmp_path / "page.html").read_text(encoding="utf-8")) != known
+
+
 def test_a_folder_of_runs_can_be_run_again(tmp_path, flexspline):
     data = scenario(3)
     for one in data["arm"]:
@@ -363,6 +431,11 @@ LOOP = '<equality><connect body1="link0" body2="link2" anchor="0 0 0"/></equalit
         ({"arm.2.link": {"inertia": 1, "gravity_moment": 1}}, None, ["arm.2.link: expected none with model"]),
         ({"timestep": 0.001}, None, ["joint 'j0': option.timestep: expected at most"]),
         ({"arm.2.name": "j1"}, None, ["arm.2.name: expected another name"]),
+        ({"payloads": [{**PAYLOAD, "body": "tol"}]}, None, ["payloads.0.body: expected a body or site", "did you mean 'tool'"]),
+        ({"payloads": [{**PAYLOAD, "end": 0.5}]}, None, ["payloads.0", "end: expected a time after 0.7 s"]),
+        ({"payloads": [{**PAYLOAD, "start": 3, "end": 4}]}, None, ["payloads.0.start", "before the end at 2.6 s"]),
+        ({"arm.0.payloads": [{"start": 1, "mass": 1, "distance": 1}]}, None, ["payloads: expected them next to `arm`"]),
+        ({"payloads": [PAYLOAD], "arm.1.feedback": "model"}, None, ["known_payloads: expected false", "model of arm.1"]),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_model_is_one_line(tmp_path, flexspline, change, model, words):

@@ -211,3 +211,29 @@ def test_a_push_on_a_turned_axis_loads_the_joint_before_by_its_cosine():
         np.testing.assert_allclose(run.as_recording()["external_torque"][at], expected[name], rtol=1e-12)
         change = np.mean((run.truth("joint_torque") - quiet[name].truth("joint_torque"))[at])
         assert change == pytest.approx(-expected[name], abs=0.1)
+
+
+def test_the_weight_of_a_payload_by_hand():
+    """Shoulder at 0.9 rad, elbow at −0.4 rad, 1.2 kg at 0.2 m along the elbow's link and 0.05 m to its front."""
+    still = [{"time": 0, "position": 0.9}], [{"time": 0, "position": -0.4}]
+    keys = {f"arm__{i}__trajectory": way for i, way in enumerate(still)}
+    payload = {"start": 2.0, "end": 4.0, "body": "elbow", "mass": 1.2, "position": [0.05, 0.0, -0.2]}
+    runs = fs.simulate_arm("two_joints", **SHORT | keys, payloads=[payload])
+    q1, q2 = (runs[name].truth("link_position")[3900:4000].mean() for name in ("shoulder", "elbow"))
+    level = 0.2 * np.sin(q1 + q2) + 0.05 * np.cos(q1 + q2)  # of the payload from the elbow's axis
+    for name, lever in (("elbow", level), ("shoulder", 0.35 * np.sin(q1) + level)):
+        torque, r = runs[name].truth("joint_torque"), runs[name].as_recording()
+        before, during, after = (torque[at].mean() for at in (slice(1900, 2000), slice(3900, 4000), slice(5900, 6000)))
+        assert during - before == pytest.approx(1.2 * 9.80665 * lever, abs=0.02)
+        assert after == pytest.approx(before, abs=0.02)
+        assert r.load.torque[3950] - r.load.torque[1950] == pytest.approx(-1.2 * 9.80665 * lever, abs=0.02)
+    blind = fs.simulate_arm("two_joints", **SHORT | keys, payloads=[payload], known_payloads=False)
+    known_torque = blind["elbow"].as_recording().load.torque
+    assert known_torque[3950] == pytest.approx(known_torque[1950], abs=0.02)
+
+
+def test_a_payload_on_no_joint_is_refused():
+    with pytest.raises(
+        InputError, match=r"payloads\.0\.body: expected a joint, one of \['shoulder', 'elbow'\], got 'elbo'; did"
+    ):
+        fs.simulate_arm("two_joints", **SHORT, payloads=[{"start": 1, "mass": 1, "body": "elbo"}])

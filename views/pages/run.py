@@ -159,7 +159,8 @@ def _known_exactly(run: Run, arm: bool) -> bool:
     same = np.array_equal(as_floats(true.record), as_floats(known.record)) and true.rated_torque == known.rated_torque
     # In an arm, the load includes the other joints; the joint's mounting is a part of it.
     mounted = not arm or run.joint.mountings == run.known_joint.mountings
-    return same and true.noise == known.noise and mounted
+    carried = run.scenario.known_payloads or not (run.scenario.payloads or arm)
+    return same and true.noise == known.noise and mounted and carried
 
 
 def _honest(
