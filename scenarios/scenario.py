@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -486,6 +486,7 @@ def read_scenario(
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping of keys, got {kind_of(data)}")
     changes = changes or []
+    _make_room(data, [change.partition("=")[0] for change in changes])
     for i, change in enumerate(changes):
         key = change.partition("=")[0]
         lost = next((before for before in changes[:i] if before.startswith(f"{key}.")), None)
@@ -516,8 +517,21 @@ def stated(scenario: Scenario) -> dict[str, Any]:
 
 def put_all(data: dict[str, Any], changes: Mapping[str, Any], where: str) -> None:
     """Set dotted keys in place; `where`: start of messages."""
+    _make_room(data, changes)
     for key, value in changes.items():
         put(data, key, _from_here(key, value), f"{where}: {key}")
+
+
+def _make_room(data: dict[str, Any], keys: Collection[str]) -> None:
+    """Remove a mounting whose link is among the changed keys, and the other way round, as a joint has one of them."""
+    loads = {(m[1], m[2]) for key in keys if (m := re.fullmatch(r"(?:arm\.(\d+)\.)?(link|mounting)(?:\..*)?", key))}
+    for place, name in loads:
+        other, joint = {"link": "mounting", "mounting": "link"}[name], data
+        if place is not None:
+            arm = data.get("arm")
+            joint = arm[int(place)] if isinstance(arm, list) and int(place) < len(arm) else {}
+        if (place, other) not in loads and isinstance(joint, dict):
+            joint.pop(other, None)
 
 
 def _from_here(key: str, value: Any) -> Any:

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import flexspline as fs
 from flexspline.models.errors import InputError
+from flexspline.models.joint import load_joint
+from flexspline.models.joint_parts import Mounting
+from flexspline.scenarios.arms.arm_scenario import load_any
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import Disturbance, Scenario, load_scenario, shipped_scenarios
 
@@ -199,3 +203,27 @@ def test_temperature_reaches_the_plant_of_a_run_again():
     cold, warm, warmed = current.values()
     assert warm == pytest.approx(0.6 * cold, rel=0.1)  # 40 K less 1 % each; the rest turns without friction
     assert warmed == pytest.approx(warm, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["link_sweep", "two_joints"])
+def test_a_link_replaces_the_mounting_and_a_mounting_the_link(name, tmp_path):
+    """A change once was refused, as the file has the other one."""
+    link = {"inertia": 0.5, "gravity_moment": 3.0}
+    key = "arm.1." if name == "two_joints" else ""
+    load = load_any if key else load_scenario
+    for change, expected in ((f"{key}link={link}", link), (f"{key}mounting=no_load", None)):
+        found, _ = load(name, [change])
+        one = found.arm[1] if key else found
+        assert one.link == (None if expected is None else Mounting(**link))
+        assert one.mounting == ("" if expected else "no_load")
+        if key:
+            assert found.arm[0].link is not None
+    with pytest.raises(InputError, match="expected either mounting or link, got both"):
+        load(name, [f"{key}link={link}", f"{key}mounting=link"])
+
+
+def test_simulate_takes_a_link():
+    run = fs.simulate("external_push", duration=1.5, link={"inertia": 0.5, "gravity_moment": 3.0}, filters=["model"])
+    assert run.as_recording().link.gravity_moment == 3.0
+    again = fs.simulate(run.scenario, mounting="no_load", duration=1.5, filters=["model"])
+    assert again.as_recording().link == load_joint("test-joint").mount("no_load")
