@@ -22,8 +22,8 @@ from ...models.errors import InputError, InputWarning, nearest, unknown_key
 from ...models.files import Strict, load
 from ...models.joint import load_joint
 from ...models.joint_parts import Mounting
-from ...models.payload import PayloadSpec
-from ...models.recording import External, Recording, check_channels, in_arm
+from ...models.payload import CarriedMass, PayloadSpec
+from ...models.recording import External, Recording, check_channels, in_arm, with_load
 from ...models.signals import CHANNELS
 from ...models.text_tables import TextForm, seconds
 from .log import Log
@@ -198,7 +198,7 @@ class ChannelSource(_Reading):
 
 
 class LogLoad(Strict):
-    """Differences of some logs: `link` or `mounting` instead of the mapping's, an added `payload`, `arm`, external torque."""
+    """Differences of some logs: `link` or `mounting` instead of the mapping's, payloads, `arm`, external torque."""
 
     link: Mounting | None = None
     """Load of the joint, instead of the mapping's."""
@@ -206,6 +206,8 @@ class LogLoad(Strict):
     """The same by its name in the joint's description."""
     payload: PayloadSpec | None = None
     """Added to the link."""
+    payloads: tuple[CarriedMass, ...] | None = None
+    """Carried for a time, instead of the mapping's."""
     arm: ArmSpec | None = None
     """Another arm."""
     external_torque: External | None = None
@@ -231,6 +233,8 @@ class Layout(Strict):
     """The same by its name among the `mountings` of the joint's description."""
     arm: ArmSpec | None = None
     """The arm that the joint is part of; or else `link` or `mounting`."""
+    payloads: tuple[CarriedMass, ...] = ()
+    """Masses that the link picks up and puts down; their times are those of the recording's `time`. An arm has its own."""
     external_torque: External = "none"
     """Whether the link was pushed, and whether that was measured."""
     separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
@@ -258,6 +262,8 @@ class Layout(Strict):
         loads = [name for name in ("link", "mounting", "arm") if getattr(self, name) is not None]
         if len(loads) != 1:
             raise ValueError(f"expected one of link, mounting and arm, got {' and '.join(loads) or 'none'}")
+        if self.arm is not None and self.payloads:
+            raise ValueError("payloads: expected them in arm, with the body that carries them, got them next to it")
         for name in self.columns:
             if name not in CHANNELS and (joint_of(name) is None or self.arm is None):
                 raise ValueError(f"columns.{name}: {unknown_key(name, CHANNELS)}")
@@ -275,7 +281,7 @@ class Layout(Strict):
             own = other.model_fields_set - {"external_torque"}
             if self.arm is not None and own - {"arm"}:
                 raise ValueError(
-                    f"logs.{pattern}: expected arm, as in the mapping (add a payload to its MJCF), got "
+                    f"logs.{pattern}: expected arm, as in the mapping (it can have payloads), got "
                     f"{' and '.join(sorted(own))}"
                 )
             if self.arm is None and other.arm:
@@ -327,7 +333,9 @@ class Layout(Strict):
         if other.payload is not None and link is not None:
             link = other.payload.on(link)
         external = other.external_torque or self.external_torque
-        update = {"link": link, "mounting": None, "arm": other.arm or self.arm, "external_torque": external}
+        payloads = self.payloads if other.payloads is None else other.payloads
+        arm = other.arm or self.arm
+        update = {"link": link, "mounting": None, "arm": arm, "payloads": payloads, "external_torque": external}
         return self.model_copy(update=update)
 
 
@@ -537,9 +545,16 @@ def _recording(
         link=layout.link or Mounting(inertia=1.0, gravity_moment=0.0),
         external=external,
         source=str(path),
+        payloads=layout.payloads,
     )
-    if layout.arm is None:
-        return recording
-    beside_log = (path.parent / layout.arm.model).is_file()
     home = layout._folder if joint is None else None
+    for i, one in enumerate(layout.payloads if layout.arm is None else layout.arm.payloads):
+        if not np.any(one.carried(time)):
+            text = f"{path}: payloads.{i}: it is carried at no time of the log, {time[0]:g} to {time[-1]:g} s"
+            warnings.warn(text, InputWarning, stacklevel=3)
+    if layout.arm is None:
+        if not recording.payloads:
+            return recording
+        return with_load(recording, load_joint(recording.joint, home).numbers["N"].value)
+    beside_log = (path.parent / layout.arm.model).is_file()
     return in_arm(recording, layout.arm, angles, path, path.parent if beside_log else layout._folder, home)

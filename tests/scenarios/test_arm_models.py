@@ -20,7 +20,7 @@ SMOOTH = np.hanning(31) / np.hanning(31).sum()
 
 
 def mjcf(count: int) -> str:
-    """Links in series about axes that are not parallel, then a slide; actuators, damping, keyframe and limits of its own."""
+    """Links in series about axes that are not parallel, then a slide; with actuators, damping, a keyframe and limits."""
     text = ""
     for k in reversed(range(count)):
         mass = 0.9 - 0.1 * k
