@@ -145,10 +145,12 @@ def assess(
             not independent, and intervals over them are wrong.
 
     Raises:
-        InputError: torque feedback, no seeds, or a joint whose bound is not defined.
+        InputError: torque feedback, payloads, no seeds, or a joint whose bound is not defined.
     """
     if len(seeds) == 0:
         raise InputError("bound: expected at least one seed, got none")
+    if scenario.payloads:
+        raise InputError(f"scenario {scenario.name}: payloads: expected none, as the bound's link has a constant load")
     joint, _ = scenario.load_joint(folder)
     record = joint.record(scenario.mount(joint))
     if record[0]["hysteresis_torque"] != 0.0:

@@ -17,6 +17,8 @@ from flexspline.models.recording import read_recording, write_recording
 from flexspline.scenarios.arms.arm_run import run_arm
 from flexspline.scenarios.arms.arm_scenario import ArmScenario, load_any, load_arm
 from flexspline.scenarios.scenario import load_scenario
+from flexspline.sim.drive import control
+from flexspline.sim.loop import CONTROL_PERIOD
 
 SHORT = {"duration": 6.0, "arm__0__filters": ["model"], "arm__1__filters": ["model", "RAREKF"]}
 
@@ -237,3 +239,21 @@ def test_a_payload_on_no_joint_is_refused():
         InputError, match=r"payloads\.0\.body: expected a joint, one of \['shoulder', 'elbow'\], got 'elbo'; did"
     ):
         fs.simulate_arm("two_joints", **SHORT, payloads=[{"start": 1, "mass": 1, "body": "elbo"}])
+
+
+def test_estimates_of_a_filter_that_is_fed_back_are_those_of_the_loop():
+    """The drive's commands follow from them, to the bit. They once had the load of the other joint, which the loop does not."""
+    keys = {"arm__1__filters": ["momentum", "augmented"], "arm__1__feedback": "augmented"}
+    run = fs.simulate_arm("two_joints", **SHORT | keys)["elbow"]
+    p, asked, rate = run.known_joint.record()[0], *run.scenario.commands()
+    drive = run.scenario.controller.record(p, CONTROL_PERIOD, True, run.scenario.mode)[0]
+    state, torque, measured = (
+        np.array([p["N"] * asked[0], 0.0, 0.0]),
+        run.estimate("augmented"),
+        run.reading("motor_position"),
+    )
+    replayed = [
+        control(asked[k], rate[k], measured[k], torque[k], state, CONTROL_PERIOD, drive) for k in range(len(asked))
+    ]
+    np.testing.assert_array_equal(replayed, run.simulation.command)
+    assert list(run.estimates) == ["momentum", "augmented"]

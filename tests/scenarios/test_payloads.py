@@ -147,3 +147,11 @@ def test_known_payloads_are_not_for_a_live_run():
 def test_a_payload_after_the_end_is_noted():
     run = run_scenario(scenario(payloads=[{**MASS, "start": 9, "end": None}]))
     assert any("payloads.0 starts at 9 s" in note for note in run.notes)
+
+
+def test_a_bound_with_payloads_is_refused(flexspline, tmp_path):
+    """Its link has a constant load; it once ignored them."""
+    data = {"name": "pick", "duration": 6, "trajectory": STILL, "payloads": [MASS]}
+    (tmp_path / "pick.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    code, _, error = flexspline("bound", tmp_path / "pick.yaml", "--seeds", 1, "--out", tmp_path / "out")
+    assert code == 2 and "scenario pick: payloads: expected none" in error and error.count("\n") == 1
