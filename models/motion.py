@@ -314,7 +314,10 @@ def differentiated(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.
     if (power := spectrum(time, angle, step, [slice(0, len(time))])) is not None:
         share, noise, whole = np.array([noise_share(*power, f) for f in tried]).T
         # Power of the motion that is passed, less that of the noise.
-        cutoff = tried[np.argmax(np.where(share <= NOISY, whole**2 - 2 * noise**2, -np.inf))]
+        clear = share <= NOISY
+        gained = np.full(len(tried), -np.inf)
+        gained[clear] = whole[clear] ** 2 - 2 * noise[clear] ** 2
+        cutoff = tried[np.argmax(gained)]
     s = smooth(time, angle[:, None], step, float(cutoff))
     position, velocity, acceleration = (np.interp(time, s.time, x[:, 0]) for x in (s.value, s.rate, s.acceleration))
     return position, velocity, acceleration

@@ -65,7 +65,10 @@ def attach_record(spec: mujoco.MjSpec, joint_name: str, record: np.ndarray) -> A
     hinge = _hinge(before, joint_name)
     p["Jl"], p["Mg"] = hinge.inertia, 0.0  # the model's own weight acts
     trial = spec.copy()
-    attached = _change(trial, joint_name, record, hinge)
+    try:
+        attached = _change(trial, joint_name, record, hinge)
+    except ValueError as error:  # a name that the model has
+        raise InputError(f"joint {joint_name!r}: a part cannot be added: {' '.join(str(error).split())}") from error
     model = _compiled(trial, keys=False)
     rotor = model.joint(attached.rotor)
     if not np.isclose(model.dof_M0[rotor.dofadr[0]], p["Jm"], rtol=1e-3):

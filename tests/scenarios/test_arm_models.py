@@ -421,6 +421,7 @@ LOOP = '<equality><connect body1="link0" body2="link2" anchor="0 0 0"/></equalit
         ({}, ("<inertial", '<joint name="second" axis="1 0 0"/><inertial'), ["arm.0.name", "only joint of its body", "has 2"]),
         ({}, ('damping="2"', 'damping="2" stiffness="3"'), ["arm.0.name", "without a spring", "stiffness 3"]),
         ({}, ("</mujoco>", LOOP), ["equality 0: expected a tree of joints"]),
+        ({}, ('name="finger"', 'name="j0_rotor"'), ["joint 'j0': a part cannot be added", "'j0_rotor'"]),
         ({}, ("<mujoco>", "<mujoco"), ["not a readable MJCF"]),
         ({}, ("-9.81", "0"), ["option.gravity: expected 9.80665"]),
         ({"positions": {"sldie": 0.1}}, None, ["positions.sldie", "did you mean 'slide'"]),

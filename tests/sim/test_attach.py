@@ -243,6 +243,7 @@ def test_numbers_of_a_configuration_can_be_edited():
     ("text", "name", "message"),
     [
         (arm(2), "nobody", r"joint 'nobody': expected a hinge of the model, one of j0, j1"),
+        (arm(2).replace("<worldbody>", '<worldbody><body name="j1_rotor"/>'), "j1", "a part cannot be added: .*j1_rotor"),
         (SOMEBODYS.replace('name="finger"', 'name="finger" type="slide"'), "finger", "expected a hinge"),
         (arm(2, timestep=0.002), "j0", r"option.timestep: expected at most 0.00043 s, .* got 0.002 s"),
         (arm(1).replace("<inertial", '<joint name="second" axis="1 0 0"/><inertial'), "j0", "a body with one joint, got 2"),
