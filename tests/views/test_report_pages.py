@@ -674,7 +674,7 @@ def test_the_page_of_an_arm_goes_from_its_base_to_its_tip(flexspline, typed, tmp
     assert page.index("<h2>shoulder") < page.index("<h2>elbow")
     assert len(typed(page)) == 3
     text = text_of(page)
-    assert "Run of the arm two_joints , from its base to its tip: shoulder (test-joint), elbow (test-joint)" in text
+    assert "Run of the arm two_joints , its joints: shoulder (test-joint), elbow (test-joint)" in text
     assert "geometric mean over 2 joints" in text and "alone" not in text
     arm = tmp_path / "two_joints"
     assert f"flexspline view {arm}/shoulder {arm}/elbow" in text and f"flexspline run {arm}/arm.yaml" in text
