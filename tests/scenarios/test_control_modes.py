@@ -139,5 +139,5 @@ def test_a_joint_of_an_arm_is_velocity_controlled():
 
 
 def test_a_joint_of_an_arm_has_no_payloads():
-    with pytest.raises(InputError, match=r"arm\.1: payloads: expected none on a joint of an arm"):
+    with pytest.raises(InputError, match=r"arm\.1: payloads: expected them next to `arm`"):
         arm({"trajectory": [{"time": 0, "position": 0}], "payloads": [{"start": 1, "mass": 1, "distance": 0.1}]})
