@@ -16,7 +16,11 @@ KINDS = {
     "joint": ("models.joint", "Joint", "A joint's description"),
     "gear": ("models.gear_sheet", "GearSheet", "A gear's data sheet"),
     "scenario": ("scenarios.scenario", "Scenario", "A scenario"),
-    "arm": ("scenarios.arms.arm_scenario", "ArmScenario", "A scenario of an arm: joints in series or on hinges of a model"),
+    "arm": (
+        "scenarios.arms.arm_scenario",
+        "ArmScenario",
+        "A scenario of an arm: joints in series or on hinges of a model",
+    ),
     "study": ("scenarios.studies.study", "Study", "A study"),
     "recording": ("models.recording", "Sidecar", "The YAML file of a recording"),
     "mapping": ("diagnosis.data.importing", "Layout", "A mapping from another program's log"),
