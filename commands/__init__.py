@@ -1,6 +1,7 @@
 """The command line. A file here with a function `command` is the command of that name; a folder is a group of commands.
 
-A command's file imports what it needs when it is called: `--help` loads all of these files.
+A command's file imports what it needs when it is called: `--help` loads all of these files. With `--json`, `command` returns
+what is printed as JSON.
 """
 
 from __future__ import annotations
@@ -114,7 +115,11 @@ def _load(name: str, folder: str = "") -> Any:
         @functools.wraps(loaded.command)
         def command(**options: Any) -> None:
             _check_address_space()
-            loaded.command(**{key: _usable(value, key) for key, value in options.items()})
+            answer = loaded.command(**{key: _usable(value, key) for key, value in options.items()})
+            if answer is not None:
+                from ..models.files import json_text
+
+                print(json_text(answer))
 
         examples = "\n\n".join(("**Examples**", *(f"    {line}" for line in loaded.EXAMPLES)))
         context = _STYLE["context_settings"]

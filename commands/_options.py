@@ -70,11 +70,11 @@ Plugins = Annotated[
 ]
 
 
-def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
+def with_plugins(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the option `--plugin` to a command; an error in a plugin is reported in one line."""
 
     @functools.wraps(command)
-    def run(*, plugin: list[Path] | None = None, **options: Any) -> None:
+    def run(*, plugin: list[Path] | None = None, **options: Any) -> Any:
         from ..models import plugins
 
         with plugins.known(plugin or ()) as names:
@@ -83,7 +83,7 @@ def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
 
                 registry.check(names)
             try:
-                command(**options)
+                return command(**options)
             except InputError:
                 raise
             except Exception as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -23,7 +23,7 @@ def command(
     out: ResultFolder,
     joint: OtherJoint = None,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Compute the frequency response from motor current to velocity, measured and simulated.
 
     Excite the joint with a chirp or multisine (docs/scenarios.md). Writes `bode.csv` and `bode.png`, and prints resonances.
@@ -32,7 +32,6 @@ def command(
     import pandas as pd
 
     from ..diagnosis.bode import response
-    from ..models.files import json_text
     from ..models.output import check_output, made_from, output_folder
     from ..models.recording import Measurement
     from ..views.figures.bode import bode_figure
@@ -67,8 +66,7 @@ def command(
         save(bode_figure(found, f"{data.name}: {described.name}"), made / "bode.png")
     summary = found.to_json()
     if as_json:
-        print(json_text(summary | {"files": [str(out / name) for name in names]}))
-        return
+        return summary | {"files": [str(out / name) for name in names]}
     for name in ("measured", "simulated"):
         for what, values in summary[name].items():
             print(f"{name} {what}: {', '.join(f'{f:.4g}' for f in values) or 'none'}{' Hz' if values else ''}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -42,7 +42,7 @@ def command(
     ] = None,
     changes: Changes = None,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Compare every estimator with the posterior Cramér-Rao bound; NIS, NEES and whiteness of the innovations.
 
     The bound is for an exactly known joint with a random-walk external torque and the encoders' noise. A second bound is for a
@@ -91,7 +91,4 @@ def command(
             write_summary(found, folder / "summary.csv")
         if not as_json:
             terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario")
-    if as_json:
-        from ..models.files import json_text
-
-        print(json_text(list(summary_rows(found))))
+    return list(summary_rows(found)) if as_json else None

@@ -92,7 +92,7 @@ def command(
         ),
     ] = None,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Hide effects in simulated joints, diagnose the recordings, and report how often the diagnosis is right.
 
     Joints are drawn within their tolerances, motions are drawn too. The diagnosis sees only recordings and the nominal joint.
@@ -135,10 +135,7 @@ def command(
     if out is not None:
         _write(out, outcomes)
     if as_json:
-        from ..models.files import json_text
-
-        print(json_text(score.report(outcomes)))
-        return
+        return score.report(outcomes)
     how = f"{joint}, {'known exactly' if exact else 'within tolerance'}{', with real imperfections' if real else ''}"
     how += f"{', no torque sensor, irregular 250 Hz' if no_sensor else ''}"
     how += f"{', without ' + ', '.join(without) if without else ''}; seed {seed}"

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-import typer
-
+from ._listing import AsJson
 from ._measurement import load_measurement
 from ._options import MeasurementPath, OtherJoint, with_plugins
 
@@ -26,14 +25,13 @@ EXAMPLES = (
 def command(
     measurement: MeasurementPath,
     joint: OtherJoint = None,
-    as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
-) -> None:
+    as_json: AsJson = False,
+) -> Any:
     """Check a measurement: what it contains, mistakes in it, what is missing, and which causes it cannot show."""
     from ..diagnosis.check import check
     from ..diagnosis.data import coverage
     from ..models import causes
     from ..models.command_lines import mending
-    from ..models.files import json_text
     from ..models.memory import give_back_large_arrays
     from ._console import console, print_table
     from ._mistakes import print_mistakes
@@ -42,8 +40,7 @@ def command(
     given, described = load_measurement(measurement, joint)
     found = check(given, described)
     if as_json:
-        print(json_text(found.to_json()))
-        return
+        return found.to_json()
     data = given if found.corrected is None else found.corrected
     terminal = console()
     print_mistakes(terminal, found.mistakes, mending(given, described) if found.corrected is not None else "")

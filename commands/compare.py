@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -26,7 +26,7 @@ def command(
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Compare filters: error, noise, delay, response time, robust share, NIS."""
     from ..models.files import json_text
     from ..models.output import output_folder
@@ -42,8 +42,7 @@ def command(
         (folder / "comparison.json").write_text(text, encoding="utf-8")
         (folder / "comparison.md").write_text(comparison_markdown(metrics), encoding="utf-8")
     if as_json:
-        print(json_text(metrics_of(runs)))
-        return
+        return metrics_of(runs)
     terminal = console()
     terminal.print(comparison_table(metrics))
     print_notes(terminal, runs)

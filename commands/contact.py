@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -49,7 +49,7 @@ def command(
     ] = None,
     changes: Changes = None,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Detect collisions by each estimator's external torque: false alarms per hour, delay, smallest push found.
 
     Thresholds come from one half of the runs without contact, false alarms from the other half, delay and smallest push from runs
@@ -95,8 +95,7 @@ def command(
             (new / "contact.md").write_text(contact_views.contact_markdown(answer), encoding="utf-8")
             save_figure(contact_views.contact_figure(found.curves, loaded.name), new / "contact.png")
     if as_json:
-        print(json_text(answer))
-        return
+        return answer
     for title, own in contact_views.titles(answer):
         terminal.print(contact_views.contact_table(own, title))
         for reason in contact_views.reasons(own):

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -49,7 +49,7 @@ def command(
     ] = None,
     report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Diagnose why a measurement differs from a joint's description: causes, how grave they are, and what to do.
 
     Writes `joint.yaml`, the description with the causes in it, `diagnosis.json`, and a report.
@@ -94,8 +94,8 @@ def command(
         stage("writing", 0.95)
         give_back_free_pages()
         with output_folder(out, "diagnose", whole=True) as folder:
-            answer = json_text({"format": 1, **found.to_json()})
-            (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
+            answer = {"format": 1, **found.to_json()}
+            (folder / "diagnosis.json").write_text(json_text(answer) + "\n", encoding="utf-8")
             found.extended.write(folder / "joint.yaml")
             from ..views.report import Report
 
@@ -109,8 +109,7 @@ def command(
                 write_report(replace(shown, response=response), folder / "report.html")
                 write_rerun_report(shown, folder / "report.rrd")
     if as_json:
-        print(answer)
-        return
+        return answer
     show(console(), shown, report)
 
 

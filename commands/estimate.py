@@ -45,7 +45,7 @@ def command(
     joint: OtherJoint = None,
     filter_: Estimators = None,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Estimate the torques of a measurement without reading its torque sensor; compare them with the sensor, if there is one.
 
     With a joint that states its uncertainty (as `diagnose` writes it), estimates have 95 % bands; estimators that simulate the
@@ -107,11 +107,9 @@ def command(
                 if scores:
                     lines[recording.name].append((_table(recording, scores, found.untrusted), ""))
                 lines[recording.name] += [(f"{recording.name}: {text}", style) for text, style in _remarks(poor, one)]
-        text = json_text(report)
-        (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+        (folder / "metrics.json").write_text(json_text(report) + "\n", encoding="utf-8")
     if as_json:
-        print(text)
-        return
+        return report
     terminal = console()
     for several in lines.values():
         for line, style in several:

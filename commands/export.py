@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -39,7 +39,7 @@ def command(
     draws: Annotated[int, typer.Option(min=0, help="joints drawn from the uncertainty, written to OUT.draws.json")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 1,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Write recordings as MCAP, or a joint for another simulator, with the error of its simpler structure.
 
     Without `--to`: a file per recording, ROS 2 messages for Foxglove, PlotJuggler and `ros2 bag`. `flexspline import` reads them
@@ -48,12 +48,11 @@ def command(
     With `--to`: the numbers are fitted to the joint's behaviour over the motion of the measurement. See docs/export.md.
     """
     if to is None:
-        _recordings(Path(source), out, as_json)
-    else:
-        _joint(source, to, measurement, into, hinge, rigid, draws, seed, out, as_json)
+        return _recordings(Path(source), out, as_json)
+    return _joint(source, to, measurement, into, hinge, rigid, draws, seed, out, as_json)
 
 
-def _recordings(measurement: Path, out: Path, as_json: bool) -> None:
+def _recordings(measurement: Path, out: Path, as_json: bool) -> Any:
     from ..diagnosis.data.exporting import write_mcap
     from ..models.output import check_output, made_from, output_folder
     from ._console import console
@@ -65,10 +64,7 @@ def _recordings(measurement: Path, out: Path, as_json: bool) -> None:
         for recording, name in zip(data.recordings, names, strict=True):
             write_mcap(recording, folder / name)
     if as_json:
-        from ..models.files import json_text
-
-        print(json_text({r.name: {"file": str(out / name)} for r, name in zip(data.recordings, names, strict=True)}))
-        return
+        return {r.name: {"file": str(out / name)} for r, name in zip(data.recordings, names, strict=True)}
     terminal = console()
     for name in names:
         terminal.print(f"{out / name}")
@@ -85,7 +81,7 @@ def _joint(
     seed: int,
     out: Path,
     as_json: bool,
-) -> None:
+) -> Any:
     from ..models.errors import InputError
     from ..models.files import json_text
     from ..models.joint import load_joint
@@ -136,8 +132,7 @@ def _joint(
         with write_whole(drawn) as file:
             file.write_text(json_text({"format": 1, "seed": seed, "draws": list(found.draws)}) + "\n", encoding="utf-8")
     if as_json:
-        print(json_text(found.to_json() | {"file": str(out)} | ({"draws": str(drawn)} if draws else {})))
-        return
+        return found.to_json() | {"file": str(out)} | ({"draws": str(drawn)} if draws else {})
     from ._console import console
 
     for line in [*notes, str(out), *([str(drawn)] if draws else [])]:

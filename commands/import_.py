@@ -58,7 +58,7 @@ def command(
         ),
     ] = False,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Import logs in another layout as recordings: table and YAML. See docs/importing.md.
 
     `flexspline import --propose LOG > mapping.yaml` makes a draft of such a layout, with marks where values are missing.
@@ -66,7 +66,6 @@ def command(
     With `--fix`, common mistakes (units, signs, columns exchanged or late, …) are found and corrected. This also works for a
     measurement in this program's format: `flexspline import MEASUREMENT --fix --out DIR`.
     """
-    from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ._console import console
     from ._mistakes import print_mistakes
@@ -99,8 +98,7 @@ def command(
             for recording in measurement.recordings
         }
     if as_json:
-        print(json_text({"recordings": imported, "mended": [m.to_json() for m in mistakes]}))
-        return
+        return {"recordings": imported, "mended": [m.to_json() for m in mistakes]}
     for one in imported.values():
         if one["description_kept"]:
             terminal.print(f"{Path(one['file']).with_suffix('.yaml')}: kept, as it was edited")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from ..models.errors import InputError
+from ._listing import AsJson
 from ._measurement import load_measurement
 from ._options import OtherJoint, with_plugins
 
@@ -23,11 +24,10 @@ def command(
         Path, typer.Argument(help="a measurement, or the folder of a diagnosis", metavar="MEASUREMENT|DIAGNOSIS")
     ],
     joint: OtherJoint = None,
-    as_json: Annotated[bool, typer.Option("--json", help="print it as JSON")] = False,
-) -> None:
+    as_json: AsJson = False,
+) -> Any:
     """Find out what to measure next: candidate experiments are simulated, and ranked by their expected information."""
     from ..diagnosis.proposals import plan_from, read_proposals
-    from ..models.files import json_text
     from ._console import console, stages
 
     diagnosed = (source / "diagnosis.json").is_file()
@@ -42,8 +42,7 @@ def command(
         with stages(f"diagnosing {data.name}") as stage:
             proposals = plan_from(data, described, stage).to_json()
     if as_json:
-        print(json_text(proposals))
-        return
+        return proposals
     terminal = console()
     if not proposals:
         terminal.print("no candidate experiment adds information")

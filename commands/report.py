@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -34,7 +34,7 @@ def command(
         "report.html"
     ),
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Write one self-contained page of a run, a comparison, a diagnosis, a validation, a sweep or contact; or of two diagnoses.
 
     It begins with the result, its confidence and what to do, and ends with its sources. Charts zoom, show values and hide lines.
@@ -45,8 +45,5 @@ def command(
 
     write_page(folders, out)
     if as_json:
-        from ..models.files import json_text
-
-        print(json_text({"page": str(out), "of": [str(folder) for folder in folders]}))
-        return
+        return {"page": str(out), "of": [str(folder) for folder in folders]}
     console().print(f"{out}")

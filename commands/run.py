@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,17 +28,14 @@ def command(
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     recording: Annotated[bool, typer.Option(help="Write the Rerun recording.")] = True,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Run scenarios; write signals, estimates, metrics, figures and a Rerun recording, for an arm of every joint."""
     from ._console import console
     from ._runs import metrics_of, print_notes, run_all
 
     runs = run_all(scenarios, out, seed, changes, figures, recording)
     if as_json:
-        from ..models.files import json_text
-
-        print(json_text(metrics_of(runs)))
-        return
+        return metrics_of(runs)
     from ..views.tables import comparison_table
 
     terminal = console()

@@ -32,7 +32,7 @@ KINDS = {
 def command(
     kind: Annotated[str, typer.Argument(help=f"of file: {', '.join(KINDS)}", autocompletion=lambda: list(KINDS))] = "",
     out: Annotated[Path | None, typer.Option(help="folder to write a file of each kind to")] = None,
-) -> None:
+) -> Any:
     """Print the JSON Schema of a kind of YAML file, for completion and checks in editors.
 
     The first line `# yaml-language-server: $schema=scenario.schema.json` assigns it to a file.
@@ -44,8 +44,7 @@ def command(
     if out is None:
         if not kind:
             raise InputError(f"kind: expected one of {', '.join(KINDS)}, or --out for all, got none")
-        print(json_text(schema_of(kind)))
-        return
+        return schema_of(kind)
     from ..models.output import output_folder
 
     names = {f"{one}.schema.json": one for one in ([kind] if kind else KINDS)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -36,7 +36,7 @@ def command(
     seeds: Annotated[int | None, typer.Option(min=1, help="number of seeds, instead of the study's")] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Sweep a study: seeds × parameters × scenarios × filters.
 
     Rows are written to `OUT/rows` (partitioned Parquet) while they are computed. An interrupted sweep continues when it is called
@@ -45,7 +45,6 @@ def command(
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one joint per thread
-    from ..models.files import json_text
     from ..models.output import at_end, check_output
     from ..scenarios.studies.statistics import summary_rows
     from ..scenarios.studies.sweep import sweep
@@ -72,8 +71,7 @@ def command(
         found = summarise(dataset)
         write_summary(found, figures)
     if as_json:
-        print(json_text(list(summary_rows(list(found.aggregates), design))))
-        return
+        return list(summary_rows(list(found.aggregates), design))
     terminal = console()
     terminal.print(sweep_table(list(found.aggregates), asked, asked.metrics[0]))
     if found.failed:

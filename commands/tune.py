@@ -6,7 +6,7 @@ import os
 import re
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -43,13 +43,12 @@ def command(
     pareto: Annotated[bool, typer.Option(help="Sweep noise against delay if a scenario has pushes.")] = True,
     changes: Changes = None,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Tune filters for the RMS error on training seeds, report on test seeds; noise against delay as a curve per filter.
 
     Writes `tuned.yaml`, whose `filters` can be copied into a scenario, per scenario or, with --together, once.
     """
     training, testing = _seeds(train, "--train"), _seeds(test, "--test")
-    from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import tuning
     from ..scenarios.filters import estimators
@@ -97,8 +96,7 @@ def command(
                 save_figure(pareto_figure(found.fronts, found.pushed, len(testing)), new / "pareto.png")
         if not as_json:
             terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if found.fronts else ''}")
-    if as_json:
-        print(json_text(answer))
+    return answer if as_json else None
 
 
 def _advance(bar: Progress, task: TaskID, names: str, done: int, name: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ._listing import AsJson
 from ._measurement import load_measurement
@@ -23,7 +23,7 @@ def command(
     out: ResultFolder,
     joint: OtherJoint = None,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Compare a measurement with the prediction of a joint's description; nothing is fitted."""
     from ..models.command_lines import mending
     from ..models.errors import InputWarning
@@ -41,19 +41,16 @@ def command(
     from ..diagnosis.validate import validate
 
     found = validate(data, described)
-    text = json_text(
-        found.to_json() | {"measurement": str(measurement), "description": joint or data.recordings[0].joint}
-    )
+    answer = found.to_json() | {"measurement": str(measurement), "description": joint or data.recordings[0].joint}
     with output_folder(out, maker, inputs=data.files, writes=names) as folder:
-        (folder / "validation.json").write_text(text + "\n", encoding="utf-8")
+        (folder / "validation.json").write_text(json_text(answer) + "\n", encoding="utf-8")
         for recording in found.recordings:
             write_table(folder / f"{recording.name}.parquet", recording.columns, recording.column_units)
     if not found.residual:
         why = "nothing moves: there are no errors, which are computed in motion"
         warnings.warn(f"{measurement}: {why}", InputWarning, stacklevel=2)
     if as_json:
-        print(text)
-        return
+        return answer
     possible = mended_if_possible(data, described, found.mistakes) is not None
     _show(console(), found, mending(data, described) if possible else "")
     console().print(f"{out}: {', '.join(names)}")

@@ -10,7 +10,7 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -57,7 +57,7 @@ def command(
     ] = 1.0,
     web: Annotated[bool, typer.Option("--web", help="In the browser, instead of a window.")] = False,
     as_json: AsJson = False,
-) -> None:
+) -> Any:
     """Open one or several runs, a diagnosis, or a running scenario (`--live`) in the Rerun viewer.
 
     The viewer listens on 127.0.0.1 only and sends no usage data. `--live` runs until its viewer is closed, or Ctrl-C.
@@ -72,8 +72,7 @@ def command(
     if not web and sys.platform.startswith("linux") and not (_set("DISPLAY") or _set("WAYLAND_DISPLAY")):
         raise InputError("view: expected a display for the viewer's window, found none; use --web")
     if live is not None:
-        _show_live(live, changes, seed, speed, web, as_json)
-        return
+        return _show_live(live, changes, seed, speed, web, as_json)
     assert folders is not None
     if as_json:
         _print_opened(folders)
@@ -85,7 +84,7 @@ def command(
     raise typer.Exit(subprocess.call(words, env=viewer_environment()))
 
 
-def _show_live(name: str, changes: list[str] | None, seed: int | None, speed: float, web: bool, as_json: bool) -> None:
+def _show_live(name: str, changes: list[str] | None, seed: int | None, speed: float, web: bool, as_json: bool) -> Any:
     from ..scenarios.live import LiveRun
     from ..scenarios.scenario import load_scenario
     from ._console import console
@@ -95,10 +94,7 @@ def _show_live(name: str, changes: list[str] | None, seed: int | None, speed: fl
     port = free_port()
     run = show_live(live, viewer_command(None, web, port), viewer_environment(), port, speed)
     if as_json:
-        from ..models.files import json_text
-
-        print(json_text({live.scenario.name: {"folder": None, **run.metrics} if run is not None else None}))
-        return
+        return {live.scenario.name: {"folder": None, **run.metrics} if run is not None else None}
     terminal = console()
     if run is None:
         terminal.print(f"{live.scenario.name}: the viewer was closed before the end")

@@ -15,7 +15,6 @@ import pandas as pd
 import pytest
 
 import flexspline as fs
-from flexspline.commands.check import command
 from flexspline.diagnosis.answer import Diagnosis, Finding
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.validate import ChannelError
@@ -158,14 +157,15 @@ def short(result) -> str:
     return text
 
 
-def test_check_has_the_contents_of_the_command(tmp_path, capsys):
+def test_check_has_the_contents_of_the_command(flexspline, tmp_path):
     run = fs.simulate("link_sweep", duration=8, filters=["current"])
     found = fs.check(run)
     assert found.can_show and not found.mistakes and found.recordings[0].samples == 8000
     assert set(found.can_show).isdisjoint(found.undetermined) and "mistakes: none" in short(found)
     path = write_recording(run.as_recording(), tmp_path)
-    command(measurement=path, as_json=True)
-    assert json.loads(capsys.readouterr().out) == json.loads(json_text(fs.check(path).to_json()))
+    code, out, error = flexspline("check", path, "--json")
+    assert code == 0, error
+    assert json.loads(out) == json.loads(json_text(fs.check(path).to_json()))
 
 
 def test_tune():

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .._listing import AsJson
 from .._options import with_plugins
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ EXAMPLES = (
 @with_plugins
 def command(
     joint: Annotated[str, typer.Argument(help="A joint description, or the name of a shipped one.", metavar="FILE")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Check a joint description: print all errors, and warnings of implausible values, a line each.
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from .._listing import AsJson
 from .._measurement import load_measurement
 from .._options import ResultFolder, with_plugins
 
@@ -21,8 +22,8 @@ def command(
     joint: Annotated[str, typer.Argument(help="Name of a shipped joint, or a joint description.", metavar="JOINT")],
     out: ResultFolder,
     measurement: Annotated[Path | None, typer.Option(help="measurement to test the feed-forward with")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
-) -> None:
+    as_json: AsJson = False,
+) -> Any:
     """Write friction over speed, load and temperature, with driving and back-driving efficiency, as CSV and C function.
 
     `friction.csv` is the map with standard deviations; `friction.c` is the same in closed form, to add to a controller's torque.
@@ -30,7 +31,6 @@ def command(
     """
     import pandas as pd
 
-    from ...models.files import json_text
     from ...models.friction_map import COLUMNS, c_function, friction_map
     from ...models.joint import load_joint
     from ...models.output import check_output, made_from, output_folder
@@ -60,7 +60,6 @@ def command(
         pd.DataFrame(table).to_csv(folder / "friction.csv", index=False)
         (folder / "friction.c").write_text(c_function(described, notes), encoding="utf-8")
     if as_json:
-        print(json_text(summary | {"files": [str(out / name) for name in names]}))
-        return
+        return summary | {"files": [str(out / name) for name in names]}
     for line in [*notes, *(str(out / name) for name in names)]:
         print(line)

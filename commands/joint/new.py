@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...models.errors import InputError
+from .._listing import AsJson
 
 if TYPE_CHECKING:
     from ...models.datasheet import NewJoint
@@ -78,8 +78,8 @@ def command(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; NAME.yaml by default.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
-) -> None:
+    as_json: AsJson = False,
+) -> Any:
     """Make a joint description from the datasheets of gear, motor and encoders; at a terminal it asks for missing values.
 
     Numbers without a unit are SI. Other numbers are filled by rules of scale with wide tolerances; the command and the file list
@@ -120,12 +120,10 @@ def command(
     path, mjcf = write_joint(made.joint, made.path)
     compared = comparison(made.joint, catalogue) if catalogue is not None else {}
     if as_json:
-        found = compared | {
+        return compared | {
             "file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled],
             "problems": [asdict(p) for p in check(path).problems],
         }  # fmt: skip
-        print(json.dumps(found, indent=1, ensure_ascii=False))
-        return
     _show(made, path, mjcf, catalogue)
 
 

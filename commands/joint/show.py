@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...models.errors import InputError
+from .._listing import AsJson
 from .._options import with_plugins
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ def command(
     gear_sheet: Annotated[
         Path | None, typer.Option(help="The gear's data sheet, .yaml, to compare the predictions with.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
-) -> None:
+    as_json: AsJson = False,
+) -> Any:
     """Show a joint: stiffness, hysteresis, friction, resonances, resolution of the encoders, detectable causes.
 
     `--out joint.png` draws it. `--gear-sheet` adds the predicted friction and efficiency at each entry of a data sheet.
@@ -51,9 +51,7 @@ def command(
     if as_json:
         shown = {key: _plain(value) for key, value in asdict(found).items()}
         compared = comparison(described, catalogue) if catalogue is not None else {}
-        print(
-            json.dumps({"joint": described.name, **shown, **compared, "diagnosis": seen}, indent=1, ensure_ascii=False)
-        )
+        answer = {"joint": described.name, **shown, **compared, "diagnosis": seen}
     else:
         from ...views.joint_text import WIDTH, comparison_text, joint_text
         from .._console import console
@@ -68,6 +66,7 @@ def command(
         save(joint_figure(described, found, seen, catalogue), out)
         if not as_json:
             print(out)
+    return answer if as_json else None
 
 
 def _plain(value: Any) -> Any:
