@@ -13,6 +13,7 @@ from ._listing import AsJson
 from ._options import Jobs, shipped, with_plugins
 
 if TYPE_CHECKING:
+    from ..scenarios.studies.swept import Swept
     from ..scenarios.studies.worst import WorstRun
 
 EXAMPLES = (
@@ -51,7 +52,6 @@ def command(
     from ..scenarios.studies.swept import open_study, summarise
     from ..views.sweep_tables import metric_column, sweep_table
     from ._console import console, progress
-    from ._sweep_files import write_summary
 
     dataset = open_study(study, out, seeds)
     design, asked = dataset.design, dataset.design.study
@@ -91,3 +91,25 @@ def _again(run: WorstRun, out: Path) -> str:
         return " (its joint is drawn)"
     place = shlex.quote((out / "worst" / f"{run.scenario}.yaml").as_posix())
     return f"; again: flexspline run {place}{plugins.options()}"
+
+
+def write_summary(swept: Swept, figures: bool = True) -> None:
+    """Write `summary.csv`, `summary.md`, the worst runs as scenarios, and figures into the dataset's folder."""
+    from ..models.files import yaml_text
+    from ..models.output import output_folder
+    from ..scenarios.studies.statistics import write_csv
+    from ..views.sweep_tables import sweep_markdown
+
+    found, study = list(swept.aggregates), swept.study
+    with output_folder(swept.folder, "sweep") as new:
+        write_csv(found, swept.dataset.design, new / "summary.csv")
+        (new / "summary.md").write_text(sweep_markdown(found, study), encoding="utf-8")
+        for run in swept.worst:
+            if run.again is not None:
+                (new / "worst").mkdir(exist_ok=True)
+                text = yaml_text(run.again.model_dump(mode="json", exclude_none=True))
+                (new / "worst" / f"{run.scenario}.yaml").write_text(text, encoding="utf-8")
+        if figures:
+            from ..views.sweep_figures import save_sweep_figures
+
+            save_sweep_figures(found, study, new / "figures")

@@ -447,7 +447,7 @@ def sweep(
     Raises:
       InputError: a wrong study; a folder with other content; no such scheduler.
     """
-    from .commands._sweep_files import write_summary
+    from .commands.sweep import write_summary
     from .models.output import check_output
     from .scenarios.studies.sweep import sweep as compute
     from .scenarios.studies.swept import open_study, summarise
@@ -534,7 +534,7 @@ def report(folders: str | Path | Sequence[str | Path], out: str | Path = "report
     Raises:
       InputError: a folder with other content; another file in place of the page.
     """
-    from .commands._pages import write_page
+    from .commands.report import write_page
 
     several = [folders] if isinstance(folders, (str, Path)) else folders
     write_page([Path(one) for one in several], Path(out))
