@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .joint import Joint
+from .joint import Joint, Slot
 from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, Mounting, Number, may_be_zero
-from .parameters import PARAMETERS, as_floats, short_way
+from .parameters import as_floats, short_way
 
 CUT = 2.5
 """Largest number of standard deviations of a drawn variable."""
@@ -26,41 +26,6 @@ ZEROS = ("link_encoder_zero", "torque_sensor_offset")
 _UNCORRELATED = 1e-3  # entry of the correlation's root below which a variable hardly changes a number
 WITHIN = 3.0
 """Standard deviations within which a change is calibration; beyond, it is a cause."""
-
-
-@dataclass(frozen=True)
-class Slot:
-    """A number of the record: `record[field]` or `record[field][index]`, by its name in a diagnosis."""
-
-    name: str
-    field: str
-    index: int
-    number: Number
-
-    def line(self, mounting: Mounting) -> tuple[float, float]:
-        """Return factor and summand of the number in a record, in a mounting."""
-        if self.field == "Jl":
-            return mounting.inertia, 0.0
-        if self.field == "Mg":
-            return mounting.gravity_moment, 0.0
-        return 1.0, mounting.gravity_angle if self.field == "gravity_angle" else 0.0
-
-    @property
-    def period(self) -> float:
-        """Of an angle with the period of a turn [rad], 0 for others."""
-        return 2 * np.pi if self.field in _ANGLES else 0.0
-
-    @property
-    def place(self) -> int:
-        """Its index in the record's floats."""
-        fields = PARAMETERS.fields
-        assert fields is not None
-        return fields[self.field][1] // np.dtype(np.float64).itemsize + max(self.index, 0)
-
-    def put(self, record: np.ndarray, value: float, mounting: Mounting) -> None:
-        """Write a value of the number into a record, shape (1,), in a mounting."""
-        factor, summand = self.line(mounting)
-        as_floats(record)[self.place] = factor * value + summand
 
 
 @dataclass(frozen=True)
@@ -229,8 +194,6 @@ def _known(number: Number) -> Number:
     return number.model_copy(update={"tolerance": 0.0, "shared": None, "deviation": number.std})
 
 
-_ANGLES = ("phase", "gravity_angle")
-"""Fields of the record with the period of a turn."""
 _LEAST = 0.3
 _LEAST_SHARE = 1e-3  # of its nominal value, of a number that is not zero
 
@@ -254,5 +217,4 @@ def _least(slot: Slot) -> float:
 
 def slots(joint: Joint) -> list[Slot]:
     """Return every number of a joint in a record, by its name in a diagnosis."""
-    numbers = [Slot(symbol, symbol, -1, number) for symbol, number in joint.numbers.items()]
-    return [*numbers, *(Slot(*one[:4]) for one in joint.placed())]
+    return [*(Slot(symbol, symbol, number) for symbol, number in joint.numbers.items()), *joint.placed()]

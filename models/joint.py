@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
@@ -34,16 +35,42 @@ from .notebook import html_table, paragraph
 from .parameters import N_DISCREPANCIES, N_ORDERS, PARAMETERS, as_floats, neutral
 
 
-class Placed(NamedTuple):
-    """A number outside `numbers`: its name in a diagnosis, field and index in the record (−1: no array), place and
-    unit in the file."""
+@dataclass(frozen=True)
+class Slot:
+    """A number of the record, `record[field]` or `record[field][index]`, by its name in a diagnosis; with its place in the
+    file and its unit there, if it is not one of `numbers`."""
 
     name: str
     field: str
-    at: int
     number: Number
-    where: str
-    unit: str
+    where: str = ""
+    unit: str = ""
+    index: int = -1
+
+    def line(self, mounting: Mounting) -> tuple[float, float]:
+        """Return factor and summand of the number in a record, in a mounting."""
+        if self.field == "Jl":
+            return mounting.inertia, 0.0
+        if self.field == "Mg":
+            return mounting.gravity_moment, 0.0
+        return 1.0, mounting.gravity_angle if self.field == "gravity_angle" else 0.0
+
+    @property
+    def period(self) -> float:
+        """Of an angle with the period of a turn [rad], 0 for others."""
+        return 2 * np.pi if self.field in ("phase", "gravity_angle") else 0.0
+
+    @property
+    def place(self) -> int:
+        """Its index in the record's floats."""
+        fields = PARAMETERS.fields
+        assert fields is not None
+        return fields[self.field][1] // np.dtype(np.float64).itemsize + max(self.index, 0)
+
+    def put(self, record: np.ndarray, value: float, mounting: Mounting) -> None:
+        """Write a value of the number into a record, shape (1,), in a mounting."""
+        factor, summand = self.line(mounting)
+        as_floats(record)[self.place] = factor * value + summand
 
 
 class Joint(Strict):
@@ -159,13 +186,13 @@ class Joint(Strict):
                 )
                 yield f"uncertainty.names.{i}: expected {expected}, got {name!r}{nearest(name, known)}"
 
-    def placed(self) -> Iterator[Placed]:
+    def placed(self) -> Iterator[Slot]:
         """Yield the numbers outside `numbers` that calibration changes."""
         for i, order in enumerate(self.kinematic_error):
             # An order of unknown phase is there twice, a quarter of a period apart.
             name = f"{order.order:g}" + "′" * sum(other.order == order.order for other in self.kinematic_error[:i])
-            yield Placed(f"A{name}", "amplitude", i, order.amplitude, f"kinematic_error.{i}.amplitude", "rad")
-            yield Placed(f"φ{name}", "phase", i, order.phase, f"kinematic_error.{i}.phase", "rad")
+            yield Slot(f"A{name}", "amplitude", order.amplitude, f"kinematic_error.{i}.amplitude", "rad", i)
+            yield Slot(f"φ{name}", "phase", order.phase, f"kinematic_error.{i}.phase", "rad", i)
         link, s = self.link_tolerances, self.sensors
         for name, field, number, where, unit in (
             ("Jl", "Jl", link.get("inertia"), "link_tolerances.inertia", "1"),
@@ -178,7 +205,7 @@ class Joint(Strict):
             ("torque_sensor_offset", "torque_offset", s.joint_torque.offset, "sensors.joint_torque.offset", "N·m"),
         ):
             if number is not None:
-                yield Placed(name, field, -1, number, where, unit)
+                yield Slot(name, field, number, where, unit)
 
     @field_validator("model")
     @classmethod
@@ -244,23 +271,10 @@ class Joint(Strict):
         p["Kt_drive"] = Kt.value if Kt.nominal is None else Kt.nominal
         for i, order in enumerate(self.kinematic_error):
             p["order"][i] = order.order
-            p["amplitude"][i] = order.amplitude.value
-            p["phase"][i] = order.phase.value
-        scale = {key: number.value for key, number in self.link_tolerances.items()}
-        p["Jl"] = mounting.inertia * scale.get("inertia", 1.0)
-        p["Mg"] = mounting.gravity_moment * scale.get("gravity_moment", 1.0)
-        p["arm_scale"] = scale.get("arm", 1.0)
-        p["gravity_angle"] = mounting.gravity_angle + (self.gravity_angle.value if self.gravity_angle else 0.0)
-        s = self.sensors
-        p["link_delay"] = s.link_encoder.delay - s.motor_encoder.delay
-        if s.link_encoder.zero is not None:
-            p["link_zero"] = s.link_encoder.zero.value
-        if s.motor_current.offset is not None:
-            p["current_offset"] = s.motor_current.offset.value
-        if s.joint_torque.gain is not None:
-            p["torque_gain"] = s.joint_torque.gain.value
-        if s.joint_torque.offset is not None:
-            p["torque_offset"] = s.joint_torque.offset.value
+        p["Jl"], p["Mg"], p["gravity_angle"] = mounting.inertia, mounting.gravity_moment, mounting.gravity_angle
+        p["link_delay"] = self.sensors.link_encoder.delay - self.sensors.motor_encoder.delay
+        for one in self.placed():
+            one.put(record, one.number.value, mounting)
         return record
 
     def apply_effects(self, record: np.ndarray) -> None:
