@@ -82,7 +82,7 @@ def _joint(
     out: Path,
     as_json: bool,
 ) -> Any:
-    from ..models.errors import InputError
+    from ..models.errors import InputError, read_text
     from ..models.files import json_text
     from ..models.joint import load_joint
     from ..models.output import write_whole
@@ -96,7 +96,7 @@ def _joint(
         raise InputError(f"{out}: expected a file to write to, got a folder")
     path = Path(source)
     joint: Joint = load_joint(path / "joint.yaml" if path.is_dir() else source)
-    text = _read(into) if into is not None else ""
+    text = read_text(into, "a file of a simulator") if into is not None else ""
     if into is not None and out.exists() and out.samefile(into):
         raise InputError(f"--out: expected another file than {into}")
     if measurement is None:
@@ -137,12 +137,3 @@ def _joint(
 
     for line in [*notes, str(out), *([str(drawn)] if draws else [])]:
         console().print(line, soft_wrap=True, markup=False, highlight=False)
-
-
-def _read(path: Path) -> str:
-    from ..models.errors import InputError
-
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {type(error).__name__}") from error

@@ -264,7 +264,7 @@ class Joint(Strict):
         record = neutral()
         p = record[0]
         for symbol, number in self.numbers.items():
-            if symbol in PARAMETERS_NAMES:
+            if symbol in (PARAMETERS.names or ()):
                 p[symbol] = number.value
         # The drive keeps the datasheet constant when calibration changes the motor's.
         Kt = self.numbers["Kt"]
@@ -329,9 +329,6 @@ class Joint(Strict):
                 raise InputError(f"{target}: expected the file that joint {self.name} names, got another of that name")
             with write_into_place(target) as temporary:
                 temporary.write_bytes(content)
-
-
-PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())
 
 
 def shipped(name: str = "") -> Path:

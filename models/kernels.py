@@ -109,7 +109,8 @@ def _forget_old(top: Path, name: str) -> None:
 def digest(module: str) -> str:
     """Return sixteen hexadecimal digits of a module's source, of all sources of this package that it imports, and of
     the compiler."""
-    whole = hashlib.blake2b(" ".join([*_versions(), sys.version]).encode(), digest_size=8)
+    versions = (metadata.version(name) for name in ("numba", "llvmlite", "numpy", "mujoco"))
+    whole = hashlib.blake2b(" ".join([*versions, sys.version]).encode(), digest_size=8)
     for name in sorted(_imported(module) | _imported(_DUAL)):
         path = _file(name)
         assert path is not None
@@ -117,11 +118,6 @@ def digest(module: str) -> str:
         if path.stat().st_mtime > _BEGAN:
             whole.update(os.urandom(8))
     return whole.hexdigest()
-
-
-@cache
-def _versions() -> tuple[str, ...]:
-    return tuple(metadata.version(name) for name in ("numba", "llvmlite", "numpy", "mujoco"))
 
 
 @cache
@@ -139,9 +135,10 @@ def _imported(module: str) -> frozenset[str]:
 @cache
 def _imports(module: str) -> tuple[str, ...]:
     """Return the modules of this package in a module's `from … import`."""
-    package = module if _is_package(module) else module.rpartition(".")[0]
-    found = []
-    for source, names in _IMPORT.findall(_source(module).decode()):
+    path, found = _file(module), []
+    assert path is not None
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    for source, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
         dots = len(source) - len(source.lstrip("."))
         if dots:
             base = package.split(".")[: len(package.split(".")) - dots + 1]
@@ -153,16 +150,6 @@ def _imports(module: str) -> tuple[str, ...]:
         inner = [f"{target}.{n.split()[0]}" for n in names.strip("()").replace("\n", " ").split(",") if n.strip()]
         found += [target, *(name for name in inner if _file(name) is not None)]
     return tuple(found)
-
-
-def _source(module: str) -> bytes:
-    path = _file(module)
-    return path.read_bytes() if path is not None else b""
-
-
-def _is_package(module: str) -> bool:
-    path = _file(module)
-    return path is not None and path.name == "__init__.py"
 
 
 @cache

@@ -87,15 +87,8 @@ def made(offer: Offer, base: type[T], check: Callable[[T], None]) -> T:
     return found
 
 
-@dataclass(frozen=True)
-class _File:
-    """An imported plugin file: its module, and a digest of its text."""
-
-    module: ModuleType
-    digest: str
-
-
-_files: dict[Path, _File] = {}
+_files: dict[Path, tuple[ModuleType, str]] = {}
+"""Imported plugin files: their modules, and a digest of their text."""
 _packages: set[Path] = set()
 """Files and folders of packages from which something was loaded."""
 
@@ -116,7 +109,7 @@ def load(path: str | Path) -> tuple[str, ...]:
     if file not in _files:
         _files[file] = _imported(file, str(path))
         _offers.cache_clear()
-    return tuple(_named(one) for kind in _KINDS for one in _tuple(_files[file].module, kind))
+    return tuple(_named(one) for kind in _KINDS for one in _tuple(_files[file][0], kind))
 
 
 def forget(path: str | Path) -> None:
@@ -133,12 +126,6 @@ def files() -> tuple[Path, ...]:
 def options() -> str:
     """Return the command-line options for the known plugin files; empty without any."""
     return "".join(f" --plugin {shlex.quote(str(file))}" for file in _files)
-
-
-def load_all(paths: Iterable[Path]) -> None:
-    """Import plugin files."""
-    for path in paths:
-        load(path)
 
 
 @contextmanager
@@ -165,13 +152,13 @@ def offers(kind: Kind, own: Iterable[str]) -> dict[str, Offer]:
 @cache
 def _offers(kind: Kind, taken: frozenset[str]) -> dict[str, Offer]:
     found = {name: offer for name, offer in _installed(kind).items() if name not in taken}
-    for file, read in _files.items():
-        for one in _tuple(read.module, kind):
+    for file, (module, digest) in _files.items():
+        for one in _tuple(module, kind):
             name = _named(one)
             if name in taken or name in found:
                 there = _PACKAGE if name in taken else found[name].origin.name
                 raise InputError(f"{file}: {kind[:-1]} {name!r}: expected another name, {there} has one of that name")
-            found[name] = Offer(kind, name, Origin(str(file), read.digest), partial(_same, one))
+            found[name] = Offer(kind, name, Origin(str(file), digest), partial(_same, one))
     return found
 
 
@@ -195,7 +182,7 @@ def _reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {one_line(' '.join(str(error).split())) or 'no message'}"
 
 
-def _imported(file: Path, given: str) -> _File:
+def _imported(file: Path, given: str) -> tuple[ModuleType, str]:
     """Return a file as a module with a unique name: compiled code is cached next to it, and classes can be pickled."""
     if not file.is_file():
         raise InputError(f"plugin {given}: expected a Python file, found none")
@@ -219,7 +206,7 @@ def _imported(file: Path, given: str) -> _File:
         if isinstance(error, SyntaxError):
             line = error.lineno
         raise InputError(f"plugin {given}{f', line {line}' if line else ''}: {_reason(error)}") from error
-    return _File(module, hashlib.sha256(file.read_bytes()).hexdigest())
+    return module, hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _tuple(module: ModuleType, kind: Kind) -> tuple[Any, ...]:

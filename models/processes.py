@@ -17,7 +17,8 @@ _watching: list[threading.Thread] = []
 
 def begin(known: Sequence[Path]) -> None:
     """Begin as a worker: load the plugin files, ignore Ctrl-C, and end when the parent process has ended."""
-    plugins.load_all(known)
+    for path in known:
+        plugins.load(path)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is None or _watching:

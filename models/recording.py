@@ -483,9 +483,10 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
             temporary.write_text(arm.mjcf, encoding="utf-8")
     text = yaml_text(data)
     columns = ordered(recording)
+    notes = {"flexspline.fixed": "; ".join(recording.fixed)} if recording.fixed else {}
     with write_into_place(path) as temporary:
         units_of = {name: _unit(name) for name in columns}
-        write_table(temporary, columns, units_of, metadata={_WRITTEN: _digest(text), **_notes(recording)})
+        write_table(temporary, columns, units_of, metadata={_WRITTEN: _digest(text), **notes})
     with write_into_place(path.with_suffix(".yaml")) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
@@ -502,10 +503,6 @@ def ordered(recording: Recording) -> dict[str, np.ndarray]:
 
 _WRITTEN = "flexspline.yaml"
 """Metadata of a recording's table: digest of its YAML file, to detect an edited one."""
-
-
-def _notes(recording: Recording) -> dict[str, str]:
-    return {"flexspline.fixed": "; ".join(recording.fixed)} if recording.fixed else {}
 
 
 def _digest(text: str) -> str:

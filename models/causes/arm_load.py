@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from .base import Cause, CauseParameter, Requirements
 
 
@@ -19,11 +17,7 @@ class ArmLoad(Cause):
     parameters = (
         CauseParameter("scale", "1", (0.05, 20.0), ((0.80, 0.92), (1.08, 1.20)), neutral=1.0, magnitude=True),
     )
+    scales = ("arm_scale", "Jl", "Mg")
     adds = True
     multiple = 5.0
     requires = Requirements(arm=True)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        """Scale the torque of the other links, and the link's own inertia and weight."""
-        for field in ("arm_scale", "Jl", "Mg"):
-            p[field] *= values["scale"]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy.stats.qmc import Halton
@@ -108,7 +108,8 @@ def errors(estimator: Estimator, runs: Sequence[Sequence[Run]], threads: int = 1
             return _FAILED
         return float(np.sqrt(np.mean(error[run.time >= run.scenario.transient] ** 2)))
 
-    found = _on_threads(one, [run for several in runs for run in several], threads)
+    with ThreadPoolExecutor(threads) as pool:
+        found = list(pool.map(one, [run for several in runs for run in several]))
     return np.nan_to_num(np.array(found), nan=_FAILED, posinf=_FAILED).reshape(len(runs), -1)
 
 
@@ -230,7 +231,8 @@ def noise_and_delay(estimator: Estimator, runs: Sequence[Run], threads: int = 1)
         lag = metrics.delay(estimate, r.truth, r.dt, r.during) if r.events else None
         return math.nan if lag is None else 1e3 * lag, metrics.noise(estimate, r.truth, r.dt, r.calm)
 
-    found = np.array(_on_threads(one, runs, threads))
+    with ThreadPoolExecutor(threads) as pool:
+        found = np.array(list(pool.map(one, runs)))
     return float(found[:, 0].mean()), float(found[:, 1].mean())
 
 
@@ -388,12 +390,3 @@ def entry_of(found: Tuned) -> FilterEntry:
     """Return the tuned estimator as an entry of a scenario's `filters`, with six digits."""
     values = {k: float(f"{v:.6g}") for k, v in _completed(found.default, found.values).items()}
     return FilterEntry.model_validate({"name": found.name, "estimator": found.name, **values})
-
-
-_In = TypeVar("_In")
-_Out = TypeVar("_Out")
-
-
-def _on_threads(function: Callable[[_In], _Out], items: Sequence[_In], threads: int) -> list[_Out]:
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(function, items))

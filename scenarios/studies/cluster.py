@@ -79,5 +79,6 @@ def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
 
 def _compute(known: tuple[Path, ...], design: Design, chunk: Chunk) -> pa.Table | None:
     """Compute the rows of a chunk on a worker."""
-    plugins.load_all(known)
+    for path in known:
+        plugins.load(path)
     return compute(design, chunk)

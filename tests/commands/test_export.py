@@ -188,7 +188,7 @@ def test_draws_are_around_the_fit(export, folder, tmp_path):
         (["test-joint", "--to", "mjcf", "--into", "{mine}", "--hinge", "wrist"],
          "expected one joint 'wrist', got 0; its joints are shoulder, elbow"),
         (["nobody", "--to", "mjcf"], "nobody"),
-        (["test-joint", "--to", "mjcf", "--into", "missing.xml"], "missing.xml: cannot be read"),
+        (["test-joint", "--to", "mjcf", "--into", "missing.xml"], "missing.xml: cannot read a file of a simulator"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_exported(flexspline, folder, tmp_path, arguments, message):
