@@ -12,7 +12,7 @@ from rich.text import Text
 from .figures.sheet import BETWEEN, LEFT, RIGHT, WIDTH, blank, place, styled
 from .limit_figures import contender_color
 from .style import SENSOR
-from .tables import markdown_table, narrow_table
+from .tables import markdown_table, text_table
 
 HEADS = ("estimator", "threshold [N·m]", "false alarms / h", "smallest push [N·m]", "found of 2 N·m [%]", "delay [ms]")
 """Columns of `contact_rows`."""
@@ -63,19 +63,12 @@ def contact_markdown(answer: Mapping[str, Any]) -> str:
 
 def contact_table(detectors: Sequence[Mapping[str, Any]], title: str) -> Table:
     """Return detectors at their thresholds for the terminal."""
-    table = narrow_table(
-        title,
+    caption = (
         "false alarms: seconds with an alarm per hour, counted on other runs than those for the threshold; smallest push: size "
-        "of which 90 % are found; 95 % intervals: bootstrap over runs",
+        "of which 90 % are found; 95 % intervals: bootstrap over runs"
     )
-    for i, head in enumerate(HEADS):
-        words, _, unit = head.partition(" [")
-        table.add_column(
-            Text(f"{words}\n[{unit}" if unit else words), justify="right" if i else "left", overflow="fold"
-        )
-    for row in contact_rows(detectors):
-        table.add_row(*(Text(cell.replace(" [", "\n[")) for cell in row))
-    return table
+    heads, *rows = ([cell.replace(" [", "\n[") for cell in row] for row in (HEADS, *contact_rows(detectors)))
+    return text_table(title, caption, map(Text, heads), rows)
 
 
 @styled

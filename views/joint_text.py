@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..models.gear_sheet import comparison
-from .tables import heading, narrow_table
+from .tables import heading, text_table
 
 if TYPE_CHECKING:
     from ..models.characteristics import Characteristics
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 """Largest width in columns."""
+_TOLERANCES = "±: one standard deviation of the description's tolerances"
 _SHARES = (0.1, 0.5, 1.0, 2.0)  # of the rated torque
 
 
@@ -39,44 +40,36 @@ def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str
 def comparison_text(joint: Joint, sheet: GearSheet) -> RenderableType:
     """Return the joint's predictions at the entries of its gear's data sheet."""
     found = comparison(joint, sheet)
-    table = narrow_table(
-        f"Predictions and {sheet.source}",
-        f"error: of an efficiency in points, else relative [%]; RMS of the friction {100 * found['residual']:.2g} %",
+    caption = (
+        f"error: of an efficiency in points, else relative [%]; RMS of the friction {100 * found['residual']:.2g} %"
     )
-    for name in ("entry", "at"):
-        table.add_column(name)
-    for name in ("stated", "predicted", "error"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for row in found["gear_sheet"]:
-        table.add_row(
-            Text(row["entry"]), row["at"], f"{row['stated']:.3g}", f"{row['predicted']:.3g}", f"{row['error']:+.1f}"
-        )
+    rows = [
+        (row["entry"], row["at"], f"{row['stated']:.3g}", f"{row['predicted']:.3g}", f"{row['error']:+.1f}")
+        for row in found["gear_sheet"]
+    ]
+    heads = ("entry", "at", "stated", "predicted", "error")
+    table = text_table(f"Predictions and {sheet.source}", caption, heads, rows, (0, 1))
     return Group(table, *(Text("\n".join(textwrap.wrap(note, WIDTH))) for note in found["notes"]))
 
 
 def _stiffness(c: Characteristics, rated: float) -> RenderableType:
-    table = narrow_table(
-        "Stiffness, rotor locked, without friction", "±: one standard deviation of the description's tolerances"
-    )
-    table.add_column("")
     torques = [share * rated for share in _SHARES]
-    for torque in torques:
-        table.add_column(heading(f"{torque:.3g}", "N·m"), justify="right")
 
     def at(values: np.ndarray, scale: float) -> list[float]:
         return [scale * float(np.interp(t, c.torque, values)) for t in torques]
 
     twist, deviation = at(c.torsion, 1e3), at(c.torsion_deviation, 1e3)
-    table.add_row(Text("torsion [mrad]"), *(f"{x:.3g} ± {s:.2g}" for x, s in zip(twist, deviation, strict=True)))
-    table.add_row(Text("stiffness [N·m/rad]"), *(f"{float(f'{x:.3g}'):.6g}" for x in at(c.stiffness, 1.0)))
-    table.add_row(Text("encoders see [N·m rms]"), *(f"{x:.2g}" for x in at(c.torque_resolution, 1.0)))
-    return table
+    rows = (
+        ("torsion [mrad]", *(f"{x:.3g} ± {s:.2g}" for x, s in zip(twist, deviation, strict=True))),
+        ("stiffness [N·m/rad]", *(f"{float(f'{x:.3g}'):.6g}" for x in at(c.stiffness, 1.0))),
+        ("encoders see [N·m rms]", *(f"{x:.2g}" for x in at(c.torque_resolution, 1.0))),
+    )
+    heads = ("", *(heading(f"{torque:.3g}", "N·m") for torque in torques))
+    return text_table("Stiffness, rotor locked, without friction", _TOLERANCES, heads, rows)
 
 
 def _efficiency(c: Characteristics, rated: float) -> RenderableType:
-    table = narrow_table("Efficiency [%] over load", "±: one standard deviation of the description's tolerances")
-    for name in ("load [N·m]", "speed [rad/s]", "driving", "back-driving"):
-        table.add_column(name, justify="right")
+    rows = []
     for share in _SHARES:
         for k, speed in enumerate(c.efficiency_speed):
             found = [
@@ -84,8 +77,9 @@ def _efficiency(c: Characteristics, rated: float) -> RenderableType:
                 for values in (c.driving, c.driving_deviation, c.back_driving, c.back_driving_deviation)
             ]
             words = [f"{found[i]:.0f} ± {found[i + 1]:.0f}" for i in (0, 2)]
-            table.add_row(f"{share * rated:.3g}", f"{speed:.2g}", *words)
-    return table
+            rows.append((f"{share * rated:.3g}", f"{speed:.2g}", *words))
+    heads = map(Text, ("load [N·m]", "speed [rad/s]", "driving", "back-driving"))
+    return text_table("Efficiency [%] over load", _TOLERANCES, heads, rows, ())
 
 
 def _hysteresis(c: Characteristics) -> str:
@@ -94,17 +88,15 @@ def _hysteresis(c: Characteristics) -> str:
 
 
 def _resonances(c: Characteristics, rated: float) -> RenderableType:
-    table = narrow_table("Resonances [Hz], undamped", "rotor held: by a stiff position controller; free: without one")
-    for name in ("mounting", "rotor"):
-        table.add_column(name)
-    for torque in (0.0, rated):
-        table.add_column(heading(f"at {torque:.3g}", "N·m"), justify="right")
+    rows = []
     for mounting in dict.fromkeys(r.mounting for r in c.resonances):
         for rotor in ("held", "free"):
             mine = [r for r in c.resonances if (r.mounting, r.rotor) == (mounting, rotor)]
             cells = [f"{r.frequency:.3g} ± {r.deviation:.2g}" for r in mine]
-            table.add_row(Text(mounting), rotor, *cells)
-    return table
+            rows.append((mounting, rotor, *cells))
+    heads = ("mounting", "rotor", *(heading(f"at {torque:.3g}", "N·m") for torque in (0.0, rated)))
+    caption = "rotor held: by a stiff position controller; free: without one"
+    return text_table("Resonances [Hz], undamped", caption, heads, rows, (0, 1))
 
 
 def _encoders(c: Characteristics) -> list[str]:

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.table import Table
-from rich.text import Text
 
 from ..models.files import write_into_place, write_rows
 from ..models.tables import write_table
-from .tables import heading, narrow_table
+from .tables import heading, text_table
 
 if TYPE_CHECKING:
     from ..scenarios.evaluation.limits import Limits
@@ -76,25 +75,25 @@ def limits_table(limits: Limits) -> Table:
     tolerant = ""
     if limits.tolerance > 0.0:
         tolerant = f", for a joint within {limits.tolerance:g} × its tolerances {limits.tolerance_bound_rms:.4f} N·m"
-    table = narrow_table(
+    title = (
         f"{limits.scenario}: {len(limits.seeds)} seeds, bound {limits.bound_rms:.4f} N·m (external torque a random walk of "
-        f"{limits.intensity:.3g} N·m/√s), of the paper's model {limits.torsion_bound_rms:.4f} N·m{tolerant}",
+        f"{limits.intensity:.3g} N·m/√s), of the paper's model {limits.torsion_bound_rms:.4f} N·m{tolerant}"
+    )
+    caption = (
         "bound: for an exactly known joint, mean over the seeds' truths, encoder counts as Gaussian noise: a single run may be "
         "below it; times bound: RMS relative to it; NIS, NEES with 95 % intervals: 1 if a filter's variance is right, above 1 "
         "if it is too small; inside: share of time in which NEES over seeds is in its interval; ρ outside: lags beyond the band "
-        "of white innovations, 5 % is white",
+        "of white innovations, 5 % is white"
     )
-    heads = [("estimator", ""), ("RMS", "N·m"), ("times bound", ""), ("NIS 95\u00a0%", ""), ("NEES 95\u00a0%", ""),
-             ("inside", "%"), ("ρ\u00a0outside", "%")]  # fmt: skip
-    for i, (words, unit) in enumerate(heads):
-        text = heading(words, unit, "right" if i else "left")
-        table.add_column(text, justify="right" if i else "left", no_wrap=i > 0, overflow="fold", vertical="top")
+    heads = [heading("estimator", justify="left"), heading("RMS", "N·m"), *map(heading, ("times bound", "NIS 95\u00a0%")),
+             heading("NEES 95\u00a0%"), heading("inside", "%"), heading("ρ\u00a0outside", "%")]  # fmt: skip
+    rows = []
     for row in sorted(summary_rows([limits]), key=lambda row: np.nan_to_num(row["rms"], nan=np.inf)):
         name = row["estimator"] + ("" if row["causal"] else "\n(not causal)")
         cells = (name, number(row["rms"], 4), number(row["ratio"], 2), _stacked(row, "nis"), _stacked(row, "nees"))
         shares = ("–" if row[key] is None else f"{100 * row[key]:.0f}" for key in ("nees_inside", "outside_white_band"))
-        table.add_row(*(Text(cell) for cell in (*cells, *shares)))
-    return table
+        rows.append((*cells, *shares))
+    return text_table(title, caption, heads, rows)
 
 
 def _stacked(row: Mapping[str, Any], key: str) -> str:
@@ -120,19 +119,17 @@ def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
 
 def tuned_table(found: Sequence[Tuned], title: str) -> Table:
     """Return default and tuned filters on training and test seeds for the terminal."""
-    table = narrow_table(
-        title,
+    caption = (
         "RMS error, default above tuned; difference: tuned minus default on the same test runs, mean and 95 % interval over "
-        "seeds; ! at the end of its range",
+        "seeds; ! at the end of its range"
     )
-    heads = [("filter", ""), ("training", "N·m"), ("test", "N·m"), ("difference", "N·m"), ("tuning parameters", "")]
-    for i, (words, unit) in enumerate(heads):
-        text = heading(words, unit, "right" if 0 < i < 4 else "left")
-        table.add_column(text, justify="right" if 0 < i < 4 else "left", no_wrap=0 < i < 4, overflow="fold")
-    for name, *errors, difference, values in tuned_rows(found):
-        pairs = ("\n".join(errors[:2]), "\n".join(errors[2:]), difference.replace(" [", "\n["))
-        table.add_row(*(Text(cell) for cell in (name, *pairs, values.replace(", ", "\n"))))
-    return table
+    numbers = (heading(words, "N·m") for words in ("training", "test", "difference"))
+    heads = (heading("filter", justify="left"), *numbers, heading("tuning parameters", justify="left"))
+    rows = [
+        (name, f"{a}\n{b}", f"{c}\n{d}", difference.replace(" [", "\n["), values.replace(", ", "\n"))
+        for name, a, b, c, d, difference, values in tuned_rows(found)
+    ]
+    return text_table(title, caption, heads, rows, (0, 4))
 
 
 def number(value: float, decimals: int) -> str:

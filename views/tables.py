@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -153,6 +153,18 @@ def narrow_table(title: str, caption: str) -> Table:
         pad_edge=False,
         padding=(0, 1, 0, 0),
     )
+
+
+def text_table(
+    title: str, caption: str, heads: Iterable[str | Text], rows: Iterable[Iterable[str]], left: Collection[int] = (0,)
+) -> Table:
+    """Return a narrow table; columns at `left` are aligned to the left and folded, the others are not wrapped."""
+    table = narrow_table(title, caption)
+    for i, head in enumerate(heads):
+        table.add_column(head, justify="left" if i in left else "right", no_wrap=i not in left, overflow="fold")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
 
 
 def heading(words: str, unit: str = "", justify: Literal["left", "right"] = "right") -> Text:

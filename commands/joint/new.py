@@ -181,27 +181,20 @@ def _spread(tolerance: float) -> str:
 
 
 def _show(made: NewJoint, path: Path, mjcf: Path, catalogue: GearSheet | None) -> None:
-    from rich.text import Text
-
     from ...models.joint_check import check
     from ...views.joint_text import comparison_text
-    from ...views.tables import narrow_table
+    from ...views.tables import text_table
     from .._console import console
     from .check import line
 
     terminal = console()
-    table = narrow_table(
-        f"{made.joint.name}: filled by rules, not from a datasheet", "±: standard deviation, relative or as a factor"
-    )
-    table.add_column("number", no_wrap=True)
-    table.add_column("value", justify="right", no_wrap=True)
-    table.add_column("±", justify="right", no_wrap=True)
-    table.add_column("rule", overflow="fold")
-    for f in made.filled:
-        unit = "" if f.unit == "1" else f" {f.unit}"
-        tolerance = _spread(f.tolerance)
-        table.add_row(Text(f.name), Text(f"{f.value:.4g}{unit}"), tolerance, Text(f.rule))
-    terminal.print(table)
+    title = f"{made.joint.name}: filled by rules, not from a datasheet"
+    rows = [
+        (f.name, f"{f.value:.4g}{'' if f.unit == '1' else f' {f.unit}'}", _spread(f.tolerance), f.rule)
+        for f in made.filled
+    ]
+    heads = ("number", "value", "±", "rule")
+    terminal.print(text_table(title, "±: standard deviation, relative or as a factor", heads, rows, (0, 3)))
     if catalogue is not None:
         terminal.print(comparison_text(made.joint, catalogue))
     for problem in check(path).problems:
