@@ -1,15 +1,10 @@
 """Load that an arm puts on the joint."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 
 class ArmLoad(Cause):
-    """All masses of the arm's model are scaled.
-
-    The torque of the links' weight, inertia and motion comes from an MJCF file. Ordinary: masses 8 to 20 % off.
-    """
+    """The torque of the links' weight, inertia and motion comes from an MJCF file. Ordinary: masses 8 to 20 % off."""
 
     name = "arm_load"
     component = "link"

@@ -169,7 +169,7 @@ class Cause(ABC):
     """A cause: its effect on the parameter record, its place, ordinary size and conditions.
 
     Its effect on residuals follows from the laws, evaluated with and without it. A simple cause is data alone
-    (`sets`); others define their effect (`apply`, with `present`).
+    (`sets`, `scales`, `order_of`); others define their effect (`apply`, with `present`).
     """
 
     name: ClassVar[str]
@@ -180,6 +180,8 @@ class Cause(ABC):
     """Parameters that replace fields of the parameter record."""
     scales: ClassVar[tuple[str, ...]] = ()
     """Fields of the parameter record that its one parameter multiplies."""
+    order_of: ClassVar[str] = ""
+    """Fields `…_order`, `_amplitude` and `_phase` of the parameter record to which it adds an order (by default 1)."""
     adds: ClassVar[bool] = False
     """Whether a second one adds to the first (another order, a further factor) instead of replacing it."""
     multiple: ClassVar[float] = float("inf")
@@ -226,6 +228,8 @@ class Cause(ABC):
             p[field] = values[name]
         for field in self.scales:
             p[field] *= values[self.parameters[0].name]
+        if self.order_of:
+            put_order(p, self.order_of, {"order": 1.0, **values})
 
     def concerns(self, joint: Joint) -> bool:
         """Return whether the cause is possible for a joint description; most are."""

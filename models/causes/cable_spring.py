@@ -1,7 +1,5 @@
 """Cable spring."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

@@ -1,16 +1,13 @@
 """Cogging of the motor."""
 
-from __future__ import annotations
-
-import numpy as np
-
-from .base import PHASE, Cause, CauseParameter, Requirements, put_order
+from .base import PHASE, Cause, CauseParameter, Requirements
 
 
 class Cogging(Cause):
     name = "cogging"
     component = "motor"
     description = "a torque periodic in the rotor angle, A sin(n θm + φ), acts on the rotor"
+    order_of = "cogging"
     adds = True
     ripple = True
     series = ("rotor", "motor_position")
@@ -20,6 +17,3 @@ class Cogging(Cause):
         CauseParameter("amplitude", "N·m", (0.0, 1.0), ((4e-3, 10e-3),), magnitude=True),
         PHASE,
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        put_order(p, "cogging", values)

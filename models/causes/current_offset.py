@@ -1,7 +1,5 @@
 """Offset of the current sensor."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter
 
 

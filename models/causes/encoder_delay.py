@@ -1,7 +1,5 @@
 """Delay of the link encoder."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

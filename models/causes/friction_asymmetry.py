@@ -1,7 +1,5 @@
 """Friction that depends on the direction."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

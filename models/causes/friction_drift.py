@@ -1,7 +1,5 @@
 """Warm-up of the friction."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

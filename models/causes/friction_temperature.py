@@ -1,7 +1,5 @@
 """Friction that depends on the temperature."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

@@ -1,7 +1,5 @@
 """Hard stop."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

@@ -1,7 +1,5 @@
 """Hysteresis of the flexspline."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

@@ -1,10 +1,6 @@
 """Eccentricity of the link encoder."""
 
-from __future__ import annotations
-
-import numpy as np
-
-from .base import PHASE, Cause, CauseParameter, Requirements, put_order
+from .base import PHASE, Cause, CauseParameter, Requirements
 
 
 class LinkEncoderEccentricity(Cause):
@@ -13,6 +9,7 @@ class LinkEncoderEccentricity(Cause):
     imperfection = True
     sensor = "link_position"
     description = "the link encoder is mounted off centre: reading + A (sin(θl + φ) − sin φ)"
+    order_of = "link_error"
     adds = True
     requires = Requirements(link_travel=0.5)
     torsion = True
@@ -20,6 +17,3 @@ class LinkEncoderEccentricity(Cause):
         CauseParameter("amplitude", "rad", (0.0, 0.05), ((0.2e-3, 0.6e-3),), magnitude=True),
         PHASE,
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        put_order(p, "link_error", {"order": 1.0, **values})

@@ -1,23 +1,17 @@
 """An error of the link encoder that returns several times per turn."""
 
-from __future__ import annotations
-
-import numpy as np
-
-from .base import PHASE, Cause, CauseParameter, Requirements, put_order
+from .base import PHASE, Cause, CauseParameter, Requirements
 
 
 class LinkEncoderError(Cause):
-    """The link encoder's error has a higher order: reading + A (sin(n θl + φ) − sin φ), in addition to an eccentricity.
-
-    Ordinary: what an oval or tilted disc leaves of an eccentricity of ordinary size in orders 2 to 4, about half of it.
-    """
+    """Ordinary: orders 2 to 4 of an oval or tilted disc, half of an eccentricity of ordinary size."""
 
     name = "link_encoder_error"
     component = "sensor"
     imperfection = True
     sensor = "link_position"
     description = "the link encoder's error has an order of 2 to 4 per turn: reading + A (sin(n θl + φ) − sin φ)"
+    order_of = "link_error"
     adds = True
     requires = Requirements(link_travel=0.5)
     torsion = True
@@ -26,6 +20,3 @@ class LinkEncoderError(Cause):
         CauseParameter("amplitude", "rad", (0.0, 0.05), ((0.1e-3, 0.3e-3),), magnitude=True),
         PHASE,
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        put_order(p, "link_error", values)

@@ -1,7 +1,5 @@
 """A link that is not rigid."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

@@ -1,15 +1,10 @@
 """Friction of the output bearing or a seal."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 
 class LinkFriction(Cause):
-    """Friction acts on the link beyond the torque sensor: −F sgn(θl') − c θl'.
-
-    Ordinary: 2 to 5 % of the rated torque of the test joint, as bearings, seals and hoses have.
-    """
+    """Ordinary: 2 to 5 % of the rated torque of the test joint, as bearings, seals and hoses have."""
 
     name = "link_friction"
     component = "link"

@@ -1,7 +1,5 @@
 """Inertia of the link."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

@@ -1,7 +1,5 @@
 """Friction that depends on the load."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

@@ -8,9 +8,7 @@ from .base import PHASE, Cause, CauseParameter, Requirements
 
 
 class MotorEncoderEccentricity(Cause):
-    """The motor encoder is mounted off centre: reading + A (sin(θm + φ) − sin φ).
-
-    A second one adds to the first as a vector. Ordinary: a disc of 10 to 20 mm radius 50 to 150 µm off centre; 30 to 150 µrad
+    """A second one adds to the first as a vector. Ordinary: a disc of 10 to 20 mm radius 50 to 150 µm off centre; 30 to 150 µrad
     at the output of a gear of 100, as much as a kinematic error.
     """
 

@@ -1,16 +1,13 @@
 """Friction that depends on the link angle."""
 
-from __future__ import annotations
-
-import numpy as np
-
-from .base import PHASE, Cause, CauseParameter, Requirements, put_order
+from .base import PHASE, Cause, CauseParameter, Requirements
 
 
 class PositionDependentFriction(Cause):
     name = "position_dependent_friction"
     component = "transmission"
     description = "mesh friction is periodic in the link angle: g(w) + A sin(n θl + φ)"
+    order_of = "friction"
     adds = True
     series = ("mesh", "direction_link_position")
     requires = Requirements(sliding=0.5, link_travel=0.5)
@@ -19,6 +16,3 @@ class PositionDependentFriction(Cause):
         CauseParameter("amplitude", "N·m", (0.0, 1.0), ((6e-3, 12e-3),), magnitude=True),
         PHASE,
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        put_order(p, "friction", values)

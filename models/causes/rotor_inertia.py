@@ -1,7 +1,5 @@
 """Rotor inertia."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

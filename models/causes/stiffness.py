@@ -1,7 +1,5 @@
 """Stiffness of the flexspline."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

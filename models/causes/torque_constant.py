@@ -1,7 +1,5 @@
 """Torque constant."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

@@ -1,7 +1,5 @@
 """Drift of the torque sensor."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 

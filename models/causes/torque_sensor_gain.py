@@ -1,7 +1,5 @@
 """Gain of the torque sensor."""
 
-from __future__ import annotations
-
 from .base import Cause, CauseParameter, Requirements
 
 
