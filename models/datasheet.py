@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +18,7 @@ from .catalogue import Gear, gear
 from .characteristics import drive_gains
 from .controller import Controller
 from .errors import InputError, nearest
-from .files import check_name, flow_text, write_into_place
+from .files import check_name, write_into_place, yaml_text
 from .gear_sheet import GearFit, GearSheet, fit, hysteresis
 from .joint import Joint, as_joint
 from .joint_mjcf import mjcf_text
@@ -297,31 +296,10 @@ _SECTIONS = {
 
 
 def _text(joint: Joint) -> str:
-    data = joint.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    lines: list[str] = []
-    for key, value in data.items():
-        if key in _SECTIONS:
-            lines.append(f"# {_SECTIONS[key]}")
-        if key == "description":
-            lines += ["description: >-", *textwrap.wrap(value, 118, initial_indent="  ", subsequent_indent="  ")]
-        elif key == "kinematic_error":
-            lines.append(f"{key}:" if value else f"{key}: []")
-            for order in value:
-                rows = [f"{name}: {flow_text(one)}" for name, one in order.items()]
-                lines += [f"  - {rows[0]}", *(f"    {row}" for row in rows[1:])]
-        elif key == "effects":
-            lines += [f"{key}:", *(f"  - {flow_text(effect)}" for effect in value)]
-        elif key == "sensors":
-            lines.append(f"{key}:")
-            for sensor, spec in value.items():
-                deep = any(isinstance(one, dict) for one in spec.values())
-                lines.append(f"  {sensor}:" if deep else f"  {sensor}: {flow_text(spec)}")
-                lines += [f"    {name}: {flow_text(one)}" for name, one in spec.items()] if deep else []
-        elif isinstance(value, dict) and all(isinstance(one, dict) for one in value.values()):
-            lines += [f"{key}:", *(f"  {name}: {flow_text(one)}" for name, one in value.items())]
-        else:
-            lines.append(f"{key}: {flow_text(value)}")
-    return "\n".join(lines) + "\n"
+    text = yaml_text(joint.model_dump(mode="json", exclude_none=True, exclude_defaults=True), rows=True)
+    for key, comment in _SECTIONS.items():
+        text = re.sub(rf"^{key}:", f"# {comment}\n{key}:", text, flags=re.MULTILINE)
+    return text
 
 
 class _Rules:

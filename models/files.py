@@ -58,7 +58,6 @@ _NAME = re.compile(r"[^\s./\\:][^/\\:]{0,99}")
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C, if installed: eight times faster
 _SafeDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _TAG = "tag:yaml.org,2002:"
-_LIST = f"{_TAG}seq"
 _NO_VALUE = (ValueError, TypeError, OverflowError, AttributeError)  # an impossible date, a number of 5000 digits
 _DEEPEST, _LARGEST = 40, 1_000_000
 """Largest number of levels and values of a YAML file. Typical files have ten levels and a few hundred values."""
@@ -210,27 +209,18 @@ def yaml_value(text: str) -> Any:
         return text
 
 
-class Line(list):
-    """A list that YAML text writes in one line."""
-
-
-class _Dumper(_SafeDumper):
-    pass
-
-
-_Dumper.add_representer(Line, lambda dumper, data: dumper.represent_sequence(_LIST, data, flow_style=True))
-
-
-def yaml_text(data: Any) -> str:
-    """Return data as YAML text: keys in their order, lines of at most 120 characters."""
-    text: str = yaml.dump(data, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=120)
+def yaml_text(data: Any, rows: bool = False) -> str:
+    """Return data as YAML text: keys in their order, lines of at most 120 characters, or with `rows` a line for every list
+    and mapping of plain values."""
+    form = {"default_flow_style": None, "width": 10**6} if rows else {"width": 120}
+    text: str = yaml.dump(data, Dumper=_SafeDumper, allow_unicode=True, sort_keys=False, **form)
     return text
 
 
 def flow_text(data: Any) -> str:
     """Return data as YAML text in one line: `{value: 1.5, unit: N·m}`."""
     text: str = yaml.dump(
-        data, Dumper=_Dumper, allow_unicode=True, sort_keys=False, default_flow_style=True, width=10**6
+        data, Dumper=_SafeDumper, allow_unicode=True, sort_keys=False, default_flow_style=True, width=10**6
     )
     return text.removesuffix("...\n").strip()
 

@@ -16,7 +16,7 @@ from . import causes, units
 from .controller import Controller
 from .errors import InputError, InputWarning, is_there, nearest
 from .faults import contradictions, unlike_mjcf
-from .files import Line, Strict, load, parse, place, write_into_place, yaml_text
+from .files import Strict, load, parse, place, write_into_place, yaml_text
 from .joint_parts import (
     UNREAD,
     Discrepancy,
@@ -310,11 +310,8 @@ class Joint(Strict):
         path = Path(path)
         self._copy_mjcf(path.parent)
         data = self.model_dump(exclude_none=True, exclude_defaults=False, mode="json")
-        if self.uncertainty is not None:
-            data["uncertainty"]["names"] = Line(self.uncertainty.names)
-            data["uncertainty"]["factor"] = [Line(row) for row in self.uncertainty.factor]
         with write_into_place(path) as temporary:
-            temporary.write_text(yaml_text(data), encoding="utf-8")
+            temporary.write_text(yaml_text(data, rows=True), encoding="utf-8")
 
     def _copy_mjcf(self, folder: Path) -> None:
         mjcf = self.mjcf
