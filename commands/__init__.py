@@ -104,7 +104,6 @@ def versions() -> str:
 
 
 def _load(name: str, folder: str = "") -> Any:
-    """Build the command of that name."""
     loaded = importlib.import_module(".".join(part for part in (__name__, folder, _files(folder)[name]) if part))
     single = typer.Typer(add_completion=False, **_STYLE)
     if hasattr(loaded, "__path__"):

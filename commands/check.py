@@ -70,7 +70,6 @@ def command(
 
 
 def _lines(data: Measurement, found: Check) -> Iterator[str]:
-    """Yield remarks on recordings and channels."""
     for recording, s in zip(data.recordings, found.recordings, strict=True):
         yield from (f"{s.name}: {line}" for line in _remarks(recording, s))
     yield from (f"{one.text}; a diagnosis accounts for it" for one in found.coarse)

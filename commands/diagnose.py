@@ -195,7 +195,6 @@ def _where(m: Mistake) -> str:
 
 
 def _commands(report: Report, written: bool) -> list[str]:
-    """Command lines to go on with, to copy."""
     from ..models import plugins
     from ..models.command_lines import checking, mending
 

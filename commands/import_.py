@@ -264,7 +264,6 @@ def _relative_joint(joint: str, home: Path, out: Path) -> str:
 
 
 def _is_shipped(joint: str) -> bool:
-    """Whether that is a shipped joint's name."""
     from ..models.joint import known_joints
 
     return joint.replace("_", "-") in known_joints()

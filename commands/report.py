@@ -113,7 +113,6 @@ def _page(folders: Sequence[Path]) -> str:
 
 
 def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
-    """Sort the runs of an arm's joints from the base to the tip."""
     from ..scenarios.arms.arm_scenario import load_any
 
     scenario, _ = load_any(arm)
@@ -122,7 +121,6 @@ def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
 
 
 def _diagnosis(folder: Path) -> str:
-    """Return the page that `diagnose` wrote."""
     page = folder / "report.html"
     if not page.is_file():
         raise InputError(f"{page}: expected the page of the diagnosis, found none; diagnose again without --no-report")

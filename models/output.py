@@ -294,7 +294,6 @@ def _move_up(path: Path, done: Path) -> None:
 
 
 def _sweep(path: Path) -> None:
-    """Remove unfinished folders of processes that have ended."""
     for entry in list(os.scandir(path)):
         if entry.name.startswith(_NEW) and entry.is_dir(follow_symlinks=False):
             owner = _own(Path(entry.path))

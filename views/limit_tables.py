@@ -97,7 +97,6 @@ def limits_table(limits: Limits) -> Table:
 
 
 def _stacked(row: Mapping[str, Any], key: str) -> str:
-    """A mean above its interval."""
     if row[key] is None:
         return "–"
     return f"{row[key]:.2f}\n{row[f'{key}_low']:.2f}–{row[f'{key}_high']:.2f}"

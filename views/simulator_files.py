@@ -136,7 +136,6 @@ def _blind(text: str) -> str:
 
 
 def _joint_tag(text: str, hinge: str, file: str) -> re.Match[str]:
-    """Return the opening tag of a joint by its name."""
     named = re.compile(r"""\bname\s*=\s*(["'])(.*?)\1""")
     tags = {m: named.search(m.group()) for m in re.finditer(r"<joint\b[^>]*>", _blind(text))}
     names = {m: name.group(2) for m, name in tags.items() if name is not None}

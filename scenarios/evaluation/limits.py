@@ -273,8 +273,6 @@ def _result(estimator: Estimator, run: Run) -> dict[str, Any]:
 
 
 def _assessment(name: str, estimator: Estimator, results: Sequence[Mapping[str, Any]]) -> Assessment:
-    """Combine the results of all seeds."""
-
     def every(key: str) -> list[Any]:
         return [one[key] for one in results if key in one]
 

@@ -78,7 +78,6 @@ def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
 
 
 def _compute(known: tuple[Path, ...], design: Design, chunk: Chunk) -> pa.Table | None:
-    """Compute the rows of a chunk on a worker."""
     for path in known:
         plugins.load(path)
     return compute(design, chunk)

@@ -83,7 +83,6 @@ def _stiffness(axes: Axes, c: Characteristics, rated: float) -> None:
 
 
 def _resolution(axes: Axes, c: Characteristics) -> None:
-    """Write the torque resolution of the encoders next to the curve."""
     begin = float(c.stiffness[0])
     words = [
         f"a count: motor {c.counts[0] * begin:.2g} N·m",

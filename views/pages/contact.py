@@ -130,7 +130,6 @@ def _joint(answer: Mapping[str, Any], tolerance: float) -> str:
 def _charts(
     rows: Sequence[Row], tolerance: float, names: Sequence[str], kinds: Mapping[str, str], title: str
 ) -> list[Chart]:
-    """Return charts of smallest push and delay over the false alarms, on a logarithmic axis."""
     here = [row for row in rows if row["tolerance"] == tolerance]
     labels = tuple((math.log10(v), f"{v:g}") for v in _DECADES)
     charts = []

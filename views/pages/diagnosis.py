@@ -152,7 +152,6 @@ def _mistake(m: Mistake) -> dict[str, Any]:
 
 
 def _commands(report: Report) -> dict[str, str]:
-    """Command lines to copy."""
     folder = shlex.quote(report.folder.as_posix()) if report.folder is not None else "DIR"
     joint, more = f"{folder}/joint.yaml", plugins.options()
     measured = shlex.quote(Path(report.measurement.path).as_posix())

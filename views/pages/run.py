@@ -175,7 +175,6 @@ def _honest(
 
 
 def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, str]]:
-    """Commands to run next, and what they do."""
     folder = runs[0][1]
     place = shlex.quote(folder.as_posix())
     chosen = next((name for name, _ in _means(_common(runs, names), names)), None) or (names or ["RAREKF"])[0]
@@ -192,7 +191,6 @@ def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tu
 
 
 def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str, str]]:
-    """Commands for an arm, in which the other joints move, too."""
     places = [shlex.quote(folder.as_posix()) for _, folder in runs]
     own = shlex.quote((runs[-1][1] / f"{runs[-1][0].name}.yaml").as_posix())
     again, more = shlex.quote((arm / "arm.yaml").as_posix()), plugins.options()
@@ -238,7 +236,6 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
 
 
 def _span(run: Run) -> str:
-    """Ranges of the link's angle and of the joint torque."""
     angle, torque = np.degrees(run.truth("link_position")), run.truth("joint_torque")
     return (
         f"link {number(round(angle.min()) + 0.0)}° to {number(round(angle.max()) + 0.0)}°, "
@@ -247,7 +244,6 @@ def _span(run: Run) -> str:
 
 
 def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:
-    """Charts of torques and errors, and of motion, current and external torque."""
     time, truth = run.time, run.truth("joint_torque")
     settled = time >= run.scenario.transient
     x = (float(time[0]), float(time[-1]))

@@ -172,7 +172,6 @@ def _sentence(
     both: list[tuple[dict[str, Any], dict[str, Any], list[NumberChange]]],
     moved: list[NumberChange],
 ) -> str:
-    """The changes in one sentence."""
     parts = []
     for found, what in ((gone, "gone"), (new, "new"), ([cause for cause, _, _ in both], "still present")):
         if found:
@@ -188,7 +187,6 @@ def _sentence(
 def _change(
     name: str, unit: str, meaning: str, a: tuple[float, float], b: tuple[float, float], period: float = 0.0
 ) -> NumberChange:
-    """The change from one value and standard deviation to another."""
     spread = math.hypot(a[1], b[1])
     difference = float(short_way(b[0] - a[0], period))
     certain = 0.0 if difference == 0 else math.copysign(math.inf, difference)

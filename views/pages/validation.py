@@ -91,7 +91,6 @@ def _are_numbers(values: np.ndarray) -> bool:
 
 
 def _channels(columns: Mapping[str, np.ndarray]) -> list[str]:
-    """Simulated channels of a table."""
     return [name.removesuffix("_simulated") for name in columns if name.endswith("_simulated")]
 
 
@@ -125,7 +124,6 @@ def _holds(answer: dict[str, Any]) -> bool:
 
 
 def _severe(answer: dict[str, Any]) -> list[dict[str, Any]]:
-    """Mistakes that make a comparison meaningless."""
     return [m for m in answer["mistakes"] if m.get("severe", True)]
 
 
@@ -135,7 +133,6 @@ def _mistake(m: dict[str, Any]) -> str:
 
 
 def _verdict(answer: dict[str, Any]) -> str:
-    """Whether the description predicts the measurement, in a sentence."""
     joint, errors = answer["joint"], answer["residual"]
     severe = _severe(answer)
     if severe:
@@ -194,7 +191,6 @@ def _regions(answer: dict[str, Any]) -> list[tuple[str, bool, list[str]]]:
 
 
 def _commands(found: Validated) -> list[tuple[str, str]]:
-    """Commands to run next, and what they do."""
     data = shlex.quote(str(found.answer.get("measurement") or "MEASUREMENT"))
     joint, more = shlex.quote(str(found.answer.get("description") or "JOINT")), plugins.options()
     if _severe(found.answer):

@@ -51,7 +51,6 @@ def write_rerun_report(report: Report, path: Path) -> Path:
 
 
 def _place(name: str) -> str:
-    """Entity path of a recording of the measurement."""
     return "recordings/" + "".join(c if c.isalnum() else "_" for c in name)
 
 
@@ -64,7 +63,6 @@ def _channel(o: Overlay) -> ModelledChannel:
 
 
 def _panel(r: Recording, found: Sequence[Overlay], far: float, notes: rrb.View) -> rrb.Container:
-    """The tab of a recording: joint and notes, values, residuals."""
     place = _place(r.name)
     channels = [_channel(o) for o in found]
     values = [

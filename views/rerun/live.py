@@ -65,7 +65,6 @@ class LiveRecording:
             lane.send(self._stream, stretch, points)
 
     def _begin(self, stretch: Run) -> None:
-        """Send the layout for the filters of the first stretch."""
         self._causal = {name: color for name, color in self._colors.items() if name in stretch.estimates}
         self._robust_so_far = always_robust(stretch, self._causal)
         self._lanes = [
