@@ -53,7 +53,7 @@ def check_output(
     within: Path | None = None,
 ) -> None:
     """Refuse a folder that cannot be written to, before any work. Arguments: see `output_folder`."""
-    with _opened(path, maker, inputs, writes, whole, within):
+    with output_folder(path, maker, inputs=inputs, writes=writes, whole=whole, within=within, commit=False):
         pass
 
 
@@ -66,6 +66,7 @@ def output_folder(
     writes: Iterable[str] = (),
     whole: bool = False,
     within: Path | None = None,
+    commit: bool = True,
 ) -> Iterator[Path]:
     """Yield an empty folder to write to. Its files appear in `path` together, if the block ends without an exception.
 
@@ -77,25 +78,11 @@ def output_folder(
       whole: whether the folder holds this output only. It must be new, empty, or of the same maker, whose other files are
         removed. The user's files stay.
       within: a folder that `path` must not leave through a link.
+      commit: whether the files appear at all (`check_output`).
 
     Raises:
       InputError: the folder cannot be written to, or files of another maker exist there; one line.
     """
-    with _opened(path, maker, inputs, writes, whole, within) as staging:
-        try:
-            yield staging
-            with _locked(path):
-                _commit(path, staging, maker, whole)
-        except OSError as error:
-            if error.errno not in _ENVIRONMENT:
-                raise
-            raise InputError(f"{path}: cannot be written: {described(error)}") from error
-
-
-@contextmanager
-def _opened(
-    path: Path, maker: str, inputs: Iterable[str | Path], writes: Iterable[str], whole: bool, within: Path | None
-) -> Iterator[Path]:
     entered = False
     try:
         if path.exists() and not path.is_dir():
@@ -108,8 +95,11 @@ def _opened(
                 _check(path, maker, inputs, writes, whole)
             entered = True
             yield staging
+            if commit:
+                with _locked(path):
+                    _commit(path, staging, maker, whole)
     except OSError as error:
-        if entered:
+        if entered and error.errno not in _ENVIRONMENT:
             raise
         raise InputError(f"{path}: cannot be written: {described(error)}") from error
 
