@@ -212,7 +212,7 @@ def yaml_value(text: str) -> Any:
 def yaml_text(data: Any, rows: bool = False) -> str:
     """Return data as YAML text: keys in their order, lines of at most 120 characters, or with `rows` a line for every list
     and mapping of plain values."""
-    form = {"default_flow_style": None, "width": 10**6} if rows else {"width": 120}
+    form: dict[str, Any] = {"default_flow_style": None, "width": 10**6} if rows else {"width": 120}
     text: str = yaml.dump(data, Dumper=_SafeDumper, allow_unicode=True, sort_keys=False, **form)
     return text
 

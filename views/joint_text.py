@@ -64,7 +64,7 @@ def _stiffness(c: Characteristics, rated: float) -> RenderableType:
         ("stiffness [N·m/rad]", *(f"{float(f'{x:.3g}'):.6g}" for x in at(c.stiffness, 1.0))),
         ("encoders see [N·m rms]", *(f"{x:.2g}" for x in at(c.torque_resolution, 1.0))),
     )
-    heads = ("", *(heading(f"{torque:.3g}", "N·m") for torque in torques))
+    heads = [Text(), *(heading(f"{torque:.3g}", "N·m") for torque in torques)]
     return text_table("Stiffness, rotor locked, without friction", _TOLERANCES, heads, rows)
 
 
@@ -94,7 +94,7 @@ def _resonances(c: Characteristics, rated: float) -> RenderableType:
             mine = [r for r in c.resonances if (r.mounting, r.rotor) == (mounting, rotor)]
             cells = [f"{r.frequency:.3g} ± {r.deviation:.2g}" for r in mine]
             rows.append((mounting, rotor, *cells))
-    heads = ("mounting", "rotor", *(heading(f"at {torque:.3g}", "N·m") for torque in (0.0, rated)))
+    heads = [Text("mounting"), Text("rotor"), *(heading(f"at {torque:.3g}", "N·m") for torque in (0.0, rated))]
     caption = "rotor held: by a stiff position controller; free: without one"
     return text_table("Resonances [Hz], undamped", caption, heads, rows, (0, 1))
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .advice import advice
+from .advice import advice, parameter_text
 from .numbers import percent
 from .tables import markdown_table
 
@@ -21,9 +22,8 @@ if TYPE_CHECKING:
     from ..models.joint import Joint
     from ..models.recording import Measurement
 
-HELD_OUT = ("channel", "before", "after", "noise")
-REGIONS = ("region", "description", "extended joint")
-"""Headings of `held_out_rows` and `region_rows`."""
+SHOWN = 3
+"""Proposals and regions that are shown."""
 
 
 @dataclass(frozen=True)
@@ -138,24 +138,43 @@ def listed(parts: list[str]) -> str:
 
 
 def markdown(report: Report) -> str:
-    """Return the verdict and its tables as short Markdown."""
+    """Return the answer as Markdown: what is wrong, how grave it is, how sure, what to do; then the rest."""
     d, gained = report.diagnosis, report.improvement
-    lines = [f"# {d.verdict}", verdict_sentence(d), "", gravity_sentence(d, gained), ""]
+    lines = [f"{d.verdict}: {verdict_sentence(d)}", "", gravity_sentence(d, gained), ""]
     lines += [f"- {reason}" for reason in further_reasons(d)]
-    lines += [f"- mistake in the data, {plain(m.name)}: {m.description}" for m in d.mistakes]
-    for c in d.causes:
-        lines += [f"## {title(c)}", share_line(c, d), *(f"- {line}" for line in advice_lines(c, d))]
-    if d.minor:
-        lines += ["", f"Minor effects: {', '.join(title(c) for c in d.minor)}"]
+    if d.mistakes:
+        lines += ["", "## Mistakes in the data"]
+    for m in d.mistakes:
+        where = "".join(f"{x}, " for x in (m.recording, m.columns) if x)[:-2]
+        text = f"{m.description} ({100 * m.confidence:.0f} % sure); {m.remedy}"
+        lines.append(f"- {plain(m.name)}: {f'{where}: ' if where else ''}{text}")
+    for heading, findings in (("Causes", d.causes), ("Minor effects", d.minor)):
+        lines += ["", f"## {heading}"] if findings else []
+        for c in findings:
+            more = [c.description] if c.description else []
+            more += [f"{name} = {parameter_text(name, c, d.extended)}" for name in c.parameters]
+            more += advice_lines(c, d) if findings is d.causes else []
+            lines += [f"- {title(c)} ({c.component}): {share_line(c, d)}", *(f"    - {line}" for line in more)]
     if d.residual:
-        rows = [(f"{k} [{u}]", f"{a:.4g}", f"{b:.4g}", f"{n:.4g}") for k, a, b, n, u in held_out_rows(d, gained)]
-        lines += ["", "## RMS error on held-out data", markdown_table(HELD_OUT, rows)]
+        rows = [
+            (name, f"{a:.3g}", f"{b:.3g}", f"{noise:.2g}" if noise else "–", u)
+            for name, a, b, noise, u in held_out_rows(d, gained)
+        ]
+        lines += ["", "## RMS error on held-out data", "", markdown_table(("", "before", "after", "noise", ""), rows)]
     if d.regions:
-        regions = [(r.name, f"{r.described:.3g}", f"{r.unseen:.3g}") for r in d.regions]
-        lines += ["", "## RMS error in regions that no fit saw [N·m]", markdown_table(REGIONS, regions)]
-    if d.confusable:
-        groups = (f"{name} with {', '.join(others)}" for name, others in confused_with(d.confusable))
-        lines += ["", f"Confounded in this measurement: {'; '.join(groups)}"]
-    if d.undetermined:
-        lines += ["", f"Could not have shown: {', '.join(map(plain, d.undetermined))}"]
-    return "\n".join([*lines, "", "*simulated*: the calibrated joint; *extended*: with the causes in it."])
+        regions = [
+            (r.name, f"{r.described:.3g}", f"{r.unseen:.3g}", "N·m", "worse than described" if r.worse else "")
+            for r in d.regions[:SHOWN]
+        ]
+        heads = ("", "described", "extended", "", "")
+        lines += ["", "## RMS error in regions that no fit saw, the worst first", "", markdown_table(heads, regions)]
+    if d.problem is not None:
+        groups = [f"- confounded: {name} with {', '.join(others)}" for name, others in confused_with(d.confusable)]
+        blind = [f"- could not have shown: {', '.join(map(plain, d.undetermined))}"] if d.undetermined else []
+        every = ["- every known cause would have shown at ordinary size"]
+        lines += ["", "## What this measurement does not show", *(groups + blind or every)]
+    if d.plan is not None and d.plan.proposals:
+        sentences = enumerate(d.plan.sentences()[:SHOWN], 1)
+        lines += ["", "## What to measure next", *(f"{number}. {sentence}" for number, sentence in sentences)]
+    text = re.sub(r"[*_<]", r"\\\g<0>", "\n".join(lines))
+    return f"**{d.verdict}**{text.removeprefix(d.verdict)}\n"

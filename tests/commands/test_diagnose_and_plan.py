@@ -113,7 +113,7 @@ def test_the_answer_is_legible_in_80_columns():
         "estimate, payload smoothed 1.23 0.109 0.03 N·m",
         "recording sweep_0 1.4 1.5 N·m worse than described",
         "confounded: torque constant with torque sensor gain", "could not have shown: friction temperature",
-        "1. Record the gear's temperature until 10 K warmer (22 s): would show friction temperature by 41 standard deviations",
+        "1 Record the gear's temperature until 10 K warmer (22 s): would show friction temperature by 41 standard deviations",
         "flexspline estimate bench --joint out/joint.yaml --out estimates",
     ):  # fmt: skip
         assert part in flat, part

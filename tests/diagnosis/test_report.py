@@ -176,7 +176,7 @@ def test_report_answers_what_a_colleague_asks(report):
     ):  # fmt: skip
         assert part.lower() in text.lower(), part
     notes = markdown(report)
-    assert verdict_sentence(report.diagnosis) in notes and "| estimate, RAREKF [N·m] |" in notes
+    assert verdict_sentence(report.diagnosis) in notes and "| estimate, RAREKF |" in notes
 
 
 def test_page_begins_with_what_was_found_how_sure_and_what_to_do(report):

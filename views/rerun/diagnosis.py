@@ -39,9 +39,8 @@ def write_rerun_report(report: Report, path: Path) -> Path:
     end = max((float(o.time[-1]) for _, found in parts for o in found), default=0.0)
     root: rrb.Container = rrb.Tabs(contents=tabs) if tabs else rrb.Vertical(notes)
     with recording(path, f"diagnosis of {report.measurement.name}", layout(root, end)) as stream:
-        stream.log(
-            "notes", rr.TextDocument(markdown(report), media_type=rr.MediaType.MARKDOWN), static=True, strict=True
-        )
+        text = f"{markdown(report)}\n*simulated*: the calibrated joint; *extended*: with the causes in it."
+        stream.log("notes", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
         for r, found in parts:
             if found:
                 _send_joint(stream, report, r, found, model)
