@@ -15,40 +15,30 @@ from .parameters import PARAMETERS
 intrinsic: Any = numba_intrinsic  # typed: the result takes no typing context, unlike its function
 
 
-def _array_of(numba_type: Any, llvm_type: Any) -> Any:
-
-    @intrinsic
-    def pointer(typingctx, address):
-        def codegen(context, builder, signature, args):
-            return builder.inttoptr(args[0], llvm_type.as_pointer())
-
-        return types.CPointer(numba_type)(types.intp), codegen
-
-    return pointer
-
-
-floats_at = _array_of(types.float64, ir.DoubleType())
-"""Pointer to float64 at an integer address."""
-ints_at = _array_of(types.int32, ir.IntType(32))
-"""Pointer to int32 at an integer address."""
-words_at = _array_of(types.int64, ir.IntType(64))
-"""Pointer to int64 (sizes, addresses) at an integer address."""
-bytes_at = _array_of(types.uint8, ir.IntType(8))
-"""Pointer to bytes at an integer address."""
-
-
-def pointer_to(dtype: np.dtype) -> Any:
-    """Return a compiled function: integer address → pointer to records of `dtype`; `carray(…, 1)[0]` is the record."""
-    record = from_dtype(dtype)
-
+def _pointer(kind: Any) -> Any:
     @intrinsic
     def pointer(typingctx, address):
         def codegen(context, builder, signature, args):
             return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
 
-        return types.CPointer(record)(types.intp), codegen
+        return types.CPointer(kind)(types.intp), codegen
 
     return pointer
+
+
+floats_at = _pointer(types.float64)
+"""Pointer to float64 at an integer address."""
+ints_at = _pointer(types.int32)
+"""Pointer to int32 at an integer address."""
+words_at = _pointer(types.int64)
+"""Pointer to int64 (sizes, addresses) at an integer address."""
+bytes_at = _pointer(types.uint8)
+"""Pointer to bytes at an integer address."""
+
+
+def pointer_to(dtype: np.dtype) -> Any:
+    """Return a compiled function: integer address → pointer to records of `dtype`; `carray(…, 1)[0]` is the record."""
+    return _pointer(from_dtype(dtype))
 
 
 record_at = pointer_to(PARAMETERS)
