@@ -14,10 +14,11 @@ from flexspline.sim import plant
 from flexspline.sim.shape import shape
 from flexspline.views.rerun import write_rerun
 from flexspline.views.rerun.arrows import DEGREES_PER_TORQUE
-from flexspline.views.rerun.channels import ModelledChannel, send_channel
+from flexspline.views.rerun.diagnosis import send_channel
 from flexspline.views.rerun.recording import layout, series_view
 from flexspline.views.rerun.recording import recording as opened
 from flexspline.views.rerun.scene import send_geoms
+from flexspline.views.residuals import Overlay
 
 
 def series(reader: RrdReader, entity: str) -> tuple[np.ndarray, np.ndarray]:
@@ -97,22 +98,26 @@ def test_nothing_is_left_where_it_cannot_be_written(pushed, tmp_path):
 
 def test_measured_against_simulated(tmp_path):
     time = np.arange(1000) * 0.01
-    measured = np.sin(time)
-    measured[300:400] = np.nan  # a gap
+    measured, left = np.sin(time), np.full(1000, -0.1)
+    left[300:400] = np.nan  # a gap
     channels = [
-        ModelledChannel("joint torque", "N·m", time, measured, np.sin(time) + 0.1, {"with backlash": np.sin(time)}),
-        ModelledChannel("motor current", "A", time, np.cos(time), np.cos(time)),
+        Overlay("bench", "joint_torque", "N·m", time, measured, left, np.zeros(1000), 0.1, ()),
+        Overlay("bench", "link_balance", "N·m", time, None, left, np.zeros(1000), 0.1, ()),
     ]
     path = tmp_path / "measurement.rrd"
-    with opened(path, "drop", layout(rrb.Vertical(series_view("joint torque", "channels")), 10.0)) as stream:
+    with opened(path, "drop", layout(rrb.Vertical(series_view("joint torque", "recordings")), 10.0)) as stream:
         for channel in channels:
             send_channel(stream, channel)
     reader = RrdReader(path)
     paths = set(reader.store().schema().entity_paths())
-    assert {"/channels/joint_torque/values/measured", "/channels/joint_torque/values/with_backlash"} <= paths
-    _, residual = series(reader, "/channels/joint_torque/residual/simulated")
-    assert np.nanmax(np.abs(residual + 0.1)) < 1e-9
-    assert np.count_nonzero(np.isnan(residual)) == 100
+    assert {f"/recordings/bench/joint_torque/values/{name}" for name in ("measured", "simulated", "extended")} <= paths
+    assert not any("link_balance/values" in place for place in paths)
+    _, simulated = series(reader, "/recordings/bench/joint_torque/values/simulated")
+    np.testing.assert_allclose(simulated, measured - left, atol=1e-9)
+    for channel in ("joint_torque", "link_balance"):
+        _, residual = series(reader, f"/recordings/bench/{channel}/residual/simulated")
+        assert np.nanmax(np.abs(residual + 0.1)) < 1e-9
+        assert np.count_nonzero(np.isnan(residual)) == 100
 
 
 def test_the_shape_is_the_plants(pushed):

@@ -13,16 +13,18 @@ import rerun.blueprint as rrb
 from ...sim.shape import shape
 from ..report import Report, markdown, plain
 from ..residuals import Overlay, overlays
-from ..style import SENSOR
+from ..style import SENSOR, TRUTH
 from .blueprint import joint_view
-from .channels import AFTER, BEFORE, ModelledChannel, send_channel
-from .recording import TIMELINE, layout, recording, series_view
+from .recording import TIMELINE, layout, recording, send_series, series_view
 from .scene import reach, send_bodies, send_torques, thin_frames
 
 if TYPE_CHECKING:
     import mujoco
 
     from ...models.recording import Recording
+
+BEFORE, AFTER = "#E0533D", TRUTH
+"""Colours of the simulation and of the extended joint's, as on the page."""
 
 
 def write_rerun_report(report: Report, path: Path) -> Path:
@@ -45,7 +47,7 @@ def write_rerun_report(report: Report, path: Path) -> Path:
             if found:
                 _send_joint(stream, report, r, found, model)
                 for o in found:
-                    send_channel(stream, _channel(o))
+                    send_channel(stream, o)
     return Path(path)
 
 
@@ -53,22 +55,26 @@ def _place(name: str) -> str:
     return "recordings/" + "".join(c if c.isalnum() else "_" for c in name)
 
 
-def _channel(o: Overlay) -> ModelledChannel:
-    """An overlay as a channel, without values if there is only a residual."""
-    base = o.measured if o.measured is not None else np.zeros(len(o.time))
-    return ModelledChannel(
-        plain(o.channel), o.unit, o.time, base, base - o.before, {"extended": base - o.after}, _place(o.name) + "/"
-    )
+def _path(o: Overlay) -> str:
+    return f"{_place(o.name)}/{o.channel}"
+
+
+def send_channel(stream: rr.RecordingStream, o: Overlay) -> None:
+    """Send measured and simulated values of a channel, if it is measured, and their differences."""
+    if o.measured is not None:
+        send_series(stream, f"{_path(o)}/values/measured", o.time, o.measured, "measured", SENSOR)
+    for label, left, color in (("simulated", o.before, BEFORE), ("extended", o.after, AFTER)):
+        if o.measured is not None:
+            send_series(stream, f"{_path(o)}/values/{label}", o.time, o.measured - left, label, color)
+        send_series(stream, f"{_path(o)}/residual/{label}", o.time, left, label, color)
 
 
 def _panel(r: Recording, found: Sequence[Overlay], far: float, notes: rrb.View) -> rrb.Container:
     place = _place(r.name)
-    channels = [_channel(o) for o in found]
     values = [
-        series_view(f"{c.name} [{c.unit}]", f"{c.path}/values")
-        for c, o in zip(channels, found, strict=True) if o.measured is not None
-    ]  # fmt: skip
-    left = [series_view(f"{c.name}, measured − simulated [{c.unit}]", f"{c.path}/residual") for c in channels]
+        series_view(f"{plain(o.channel)} [{o.unit}]", f"{_path(o)}/values") for o in found if o.measured is not None
+    ]
+    left = [series_view(f"{plain(o.channel)}, measured − simulated [{o.unit}]", f"{_path(o)}/residual") for o in found]
     torques = "Torque measured (grey), simulated, extended"
     sensed = any(o.channel == "joint_torque" for o in found)
     joint = joint_view(torques if sensed else "Measured joint", f"{place}/scene", far)
