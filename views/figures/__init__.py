@@ -20,11 +20,6 @@ if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 
-def figures_of(run: Run) -> dict[str, Figure]:
-    """Return the figures of a run by file name: those of the paper that its scenario names, and general ones."""
-    return {name: make(run) for name, make in _chosen(run).items()}
-
-
 def save_figures(run: Run, folder: Path) -> list[Path]:
     """Write a run's figures as PNG into a folder, which is made if it does not exist; return their paths.
 
@@ -33,10 +28,11 @@ def save_figures(run: Run, folder: Path) -> list[Path]:
     """
     from .sheet import save
 
-    return [save(make(run), Path(folder) / f"{name}.png") for name, make in _chosen(run).items()]
+    return [save(make(run), Path(folder) / f"{name}.png") for name, make in chosen(run).items()]
 
 
-def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
+def chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
+    """Return the functions that draw a run, by file name: figures of the paper that its scenario names, and general ones."""
     from . import error, experiments, filters, hysteresis, overview, zoom
 
     of_paper: dict[str, tuple[str, Callable[[Run], Figure]]] = {
@@ -46,8 +42,8 @@ def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
         "8": ("fig8_external_push", experiments.external_push),
         "9": ("fig9_zoom", zoom.push_zoom),
     }
-    chosen = dict(of_paper[number] for number in re.findall(r"\d+", run.scenario.figure) if number in of_paper)
-    if "fig9_zoom" in chosen and not zoom.zoomed(run):
-        del chosen["fig9_zoom"]
+    found = dict(of_paper[number] for number in re.findall(r"\d+", run.scenario.figure) if number in of_paper)
+    if "fig9_zoom" in found and not zoom.zoomed(run):
+        del found["fig9_zoom"]
     more = {"filters": filters.filters} if innovations(run) else {}
-    return chosen | {"overview": overview.overview, **more, "error": error.error}
+    return found | {"overview": overview.overview, **more, "error": error.error}
