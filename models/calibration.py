@@ -157,28 +157,17 @@ class Calibration:
         self._last[mounting, effects] = np.array(x), record.copy()
         return record
 
-    def expresses(
-        self, record: np.ndarray, without: np.ndarray, mounting: Mounting | None = None, within: float = WITHIN
-    ) -> bool:
-        """Return whether all differences between two records, shape (1,) each, are within tolerance of nominal in the
-        first.
+    def expresses(self, record: np.ndarray, without: np.ndarray) -> bool:
+        """Return whether all differences between two records, shape (1,) each, are within tolerance (`WITHIN`) of nominal in
+        the first.
 
         A stiffness 25 % up on a joint whose own is 15 % down is an ordinary joint: there is no cause to find.
-
-        Args:
-          within: standard deviations within tolerance.
         """
-        nominal = self.record(np.zeros(self.size), mounting)
-        allowed, period = np.zeros(1, record.dtype), np.zeros(record.nbytes // 8)
+        now, before, described = (as_floats(r) for r in (record, without, self.record(np.zeros(self.size))))
+        limit, period = np.zeros_like(now), np.zeros_like(now)
         for slot in self.slots:
-            reach = self.reach(slot, within)
-            period[slot.place] = slot.period
-            if slot.index >= 0:
-                allowed[0][slot.field][slot.index] = reach
-            else:
-                scale = nominal[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0
-                allowed[0][slot.field] = reach * scale
-        now, before, described, limit = (as_floats(r) for r in (record, without, nominal, allowed))
+            scale = described[slot.place] if slot.field in ("Jl", "Mg") else 1.0
+            limit[slot.place], period[slot.place] = self.reach(slot, WITHIN) * scale, slot.period
         off = short_way(now - described, period)
         return not np.any((now != before) & (np.abs(off) > limit))
 

@@ -246,15 +246,15 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], names: Sequence[st
         writer.writerows(rows)
 
 
-def check_format(data: Any, path: Path, known: int = 1) -> None:
+def check_format(data: Any, path: Path) -> None:
     """Refuse a file of another version.
 
     Raises:
-      InputError: its `format` is not `known`. A file without `format` has 1.
+      InputError: its `format` is not 1, as of a file without `format`.
     """
-    found = data.get("format", 1) if isinstance(data, dict) else known
-    if found != known:
-        raise InputError(f"{path}: format: expected {known}, got {shown(found)}: written by another version")
+    found = data.get("format", 1) if isinstance(data, dict) else 1
+    if found != 1:
+        raise InputError(f"{path}: format: expected 1, got {shown(found)}: written by another version")
 
 
 _WORD = re.compile(r"[\w .·²/+-]{1,60}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,17 +46,10 @@ def contender_color(name: str) -> str:
 
 
 @styled
-def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
-    """Draw RMS errors and bounds over time; NIS and NEES with intervals; autocorrelation of the innovations.
-
-    Args:
-        limits: of a scenario.
-        shown: estimators to draw over time; by default all up to nine, else the best known.
-    """
+def limits_figure(limits: Limits) -> Figure:
+    """Draw RMS errors and bounds of a scenario over time; NIS and NEES with intervals; autocorrelation of the innovations."""
     every = limits.estimators
-    names = list(shown) or [e.name for e in every]
-    if len(names) > len(_SHOWN) and not shown:
-        names = [e.name for e in every if e.name in _SHOWN]
+    names = [e.name for e in every if len(every) <= len(_SHOWN) or e.name in _SHOWN]
     tolerant = (
         f"Dotted: for a joint that is known within {limits.tolerance:g} × its tolerances, which are the prior; RMS "
         f"{limits.tolerance_bound_rms:.4f} N·m. "
@@ -99,7 +92,7 @@ def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
 
 
 @styled
-def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str = "Noise against delay") -> Figure:
+def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int) -> Figure:
     """Draw noise in steady state over delay to a push: a curve per filter, with its defaults and tuned settings."""
     caption = (
         f"{scenario}, {seeds} test seeds. Along a curve, a filter's tuning parameters change; only settings are drawn that no "
@@ -107,7 +100,7 @@ def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str
         "shift of the truth that explains the estimate best around the pushes; noise: standard deviation of the error's part "
         "faster than 0.2 s, in steady state. Lower left is better."
     )
-    figure = blank(title, caption, 0.6 + 5.0 + 0.6)
+    figure = blank("Noise against delay", caption, 0.6 + 5.0 + 0.6)
     axes = place(figure, LEFT, 0.6, WIDTH - LEFT - _LEGEND, 5.0)
     for front in fronts:
         color = contender_color(front.name)

@@ -16,10 +16,10 @@ def number(value: float, digits: int = 4) -> str:
     return (f"{float(text):.0f}" if "e" in text else text).replace("-", "−")
 
 
-def percent(share: float, decimals: int = 0, sign: bool = False) -> str:
+def percent(share: float, sign: bool = False) -> str:
     """Return a share of 1 in percent; `sign`: with the sign of a change."""
-    rounded = round(100 * share, decimals) + 0.0
-    return f"{rounded:{'+' if sign and rounded else ''}.{decimals}f} %".replace("-", "−")
+    rounded = round(100 * share, 0) + 0.0
+    return f"{rounded:{'+' if sign and rounded else ''}.0f} %".replace("-", "−")
 
 
 def with_std(value: float, std: float, unit: str) -> str:

@@ -102,15 +102,14 @@ def doubts(metrics: Mapping[str, Mapping]) -> list[str]:
     ]
 
 
-def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque estimates") -> Table:
+def comparison_table(metrics: Mapping[str, Mapping]) -> Table:
     """Return the comparison for the terminal: a row per filter below its scenario, the best of each scenario in bold.
 
     Args:
       metrics: a run's metrics by scenario name.
-      title: above the table.
     """
     table = narrow_table(
-        title,
+        "Joint torque estimates",
         "Errors against the plant's noise-free joint torque; response: after the truth, 90 % of a push; – not defined"
         + (f";{UNTRUSTED} not to be trusted" if doubts(metrics) else ""),
     )

@@ -46,6 +46,6 @@ def interval(values: np.ndarray | Sequence[float], level: float = LEVEL) -> Inte
     return Interval(mean, mean - half, mean + half, n)
 
 
-def paired(values: np.ndarray, reference: np.ndarray, level: float = LEVEL) -> Interval:
+def paired(values: np.ndarray, reference: np.ndarray) -> Interval:
     """Return the mean of values − reference, shape (n,) each, without NaN."""
-    return interval(np.asarray(values, dtype=np.float64) - np.asarray(reference, dtype=np.float64), level)
+    return interval(np.asarray(values, dtype=np.float64) - np.asarray(reference, dtype=np.float64))

@@ -137,6 +137,6 @@ def layout(root: rrb.Container, end: float, live: bool = False) -> rrb.Blueprint
     )
 
 
-def rgb(color: str, alpha: int = 255) -> list[int]:
-    """Return `#RRGGBB` as four bytes."""
-    return [*(int(color[i : i + 2], 16) for i in (1, 3, 5)), alpha]
+def rgb(color: str) -> list[int]:
+    """Return `#RRGGBB` as bytes."""
+    return [int(color[i : i + 2], 16) for i in (1, 3, 5)]
