@@ -78,13 +78,13 @@ def command(
             loaded, folder, chosen, hours, shares, rate, jobs or os.cpu_count() or 1, lambda share: bar.advance(tasks[share])
         )  # fmt: skip
     given = {
-        "--tolerance": shares,
+        "--tolerance": [f"{share:g}" for share in shares],
         "--filter": chosen,
-        "--rate": [rate],
+        "--rate": [f"{rate:g}"],
         "--set": changes or [],
         "--plugin": plugins.files(),
     }
-    words = [scenario, *(word for o, values in given.items() for v in values for word in (o, _word(v)))]
+    words = [scenario, *(word for o, values in given.items() for v in values for word in (o, str(v)))]
     answer = {"format": 1, "arguments": words} | found.to_json()
     if out is not None:
         from ..views.limit_figures import save_figure
@@ -102,7 +102,3 @@ def command(
             terminal.print(reason, style="yellow")
     if out is not None:
         terminal.print(f"{out / 'contact.json'}, contact.md, contact.csv, contact.png")
-
-
-def _word(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -69,7 +69,8 @@ def command(
     if live is None and (changes or seed is not None or speed != 1.0):
         raise InputError("view: --set, --seed, --speed: expected --live with them, got a folder")
     recording = find_recording(folders[0]) if folders and len(folders) == 1 else None
-    if not web and sys.platform.startswith("linux") and not (_set("DISPLAY") or _set("WAYLAND_DISPLAY")):
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not web and sys.platform.startswith("linux") and not display:
         raise InputError("view: expected a display for the viewer's window, found none; use --web")
     if live is not None:
         return _show_live(live, changes, seed, speed, web, as_json)
@@ -195,7 +196,3 @@ def find_recording(run: Path) -> Path:
     if magic != _MAGIC:
         raise InputError(f"{recording}: expected a Rerun recording, got another kind of file")
     return recording
-
-
-def _set(variable: str) -> bool:
-    return bool(os.environ.get(variable))

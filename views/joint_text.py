@@ -29,9 +29,11 @@ def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str
     number = {symbol: one.value for symbol, one in joint.numbers.items()}
     first = Text.assemble((joint.name, "bold"), f": ratio {number['N']:g}, rated {number['rated_torque']:g} N·m; ")
     first.append(f"the motor gives {c.largest_torque:.3g} N·m and {c.no_load_speed:.3g} rad/s")
+    width, deviation = 1e3 * c.half_width, 1e3 * c.half_width_deviation
+    loop = f"hysteresis: ±{width:.2g} mrad (± {deviation:.1g}) at zero torque, rotor locked, loaded slowly"
     return Group(
         first, Text("\n".join(textwrap.wrap(" ".join(joint.description.split()), WIDTH)), style="dim"), "",
-        _stiffness(c, number["rated_torque"]), Text(_hysteresis(c)), "", _efficiency(c, number["rated_torque"]), "",
+        _stiffness(c, number["rated_torque"]), Text(loop), "", _efficiency(c, number["rated_torque"]), "",
         _resonances(c, number["rated_torque"]), Text("\n".join(_encoders(c))), "",
         Text("Causes that a diagnosis can detect", style="bold"), *(_causes(seen)),
     )  # fmt: skip
@@ -80,11 +82,6 @@ def _efficiency(c: Characteristics, rated: float) -> RenderableType:
             rows.append((f"{share * rated:.3g}", f"{speed:.2g}", *words))
     heads = map(Text, ("load [N·m]", "speed [rad/s]", "driving", "back-driving"))
     return text_table("Efficiency [%] over load", _TOLERANCES, heads, rows, ())
-
-
-def _hysteresis(c: Characteristics) -> str:
-    width, deviation = 1e3 * c.half_width, 1e3 * c.half_width_deviation
-    return f"hysteresis: ±{width:.2g} mrad (± {deviation:.1g}) at zero torque, rotor locked, loaded slowly"
 
 
 def _resonances(c: Characteristics, rated: float) -> RenderableType:

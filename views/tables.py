@@ -205,17 +205,14 @@ _COMPARED = ("rms", "max", "noise_ratio", "delay_ms", "response_ms")
 _MISSED = next(k for k, column in enumerate(COLUMNS) if column.key == "missed")
 
 
-def _missed(cell: str) -> float:
-    return math.inf if cell == "–" else float(cell)
-
-
 def _smallest(rows: list[tuple[str, ...]]) -> set[tuple[str, int]]:
     """Return (filter, column) of the best values, if rows differ."""
     best = set()
     for k, column in enumerate(COLUMNS):
         values = {row[1]: float(row[2 + k]) for row in rows if row[2 + k] != "–"}
         if column.key == "response_ms":  # comparable only between filters that follow most pushes
-            fewest = min((row[2 + _MISSED] for row in rows), key=_missed, default="")
+            missed = (row[2 + _MISSED] for row in rows)
+            fewest = min(missed, key=lambda cell: math.inf if cell == "–" else float(cell), default="")
             values = {row[1]: values[row[1]] for row in rows if row[1] in values and row[2 + _MISSED] == fewest}
         if column.key in _COMPARED and len(set(values.values())) > 1:
             smallest = min(values.values())

@@ -15,7 +15,7 @@ from ..report import Report, markdown, plain
 from ..residuals import Overlay, overlays
 from ..style import SENSOR, TRUTH
 from .blueprint import joint_view
-from .recording import TIMELINE, layout, recording, send_series, series_view
+from .recording import TIMELINE, entity, layout, recording, send_series, series_view
 from .scene import reach, send_bodies, send_torques, thin_frames
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def write_rerun_report(report: Report, path: Path) -> Path:
 
 
 def _place(name: str) -> str:
-    return "recordings/" + "".join(c if c.isalnum() else "_" for c in name)
+    return f"recordings/{entity(name)}"
 
 
 def _path(o: Overlay) -> str:

@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 from ...sim.shape import shape
 from ..style import FILTERS, SPARE, TRUTH
 from .blueprint import joint_view
-from .recording import TIMELINE, layout, recording, send_series, series_view
+from .recording import TIMELINE, entity, layout, recording, send_series, series_view
 from .scene import reach, send_bodies, send_torques, thin_frames
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
             time, truth = run.time, run.truth("joint_torque")
             send_series(stream, f"torque/{place}", time, truth, name, color)
             for label, found in run.estimates.items():
-                send_series(stream, f"error/{_entity(label)}/{place}", time, found.mean - truth, name, color)
+                send_series(stream, f"error/{entity(label)}/{place}", time, found.mean - truth, name, color)
             if run.position_command is not None:
                 send_series(stream, f"position_error/{place}", time, -1e3 * run.command_error, name, color)
             send_series(stream, f"current/{place}", time, run.reading("motor_current"), name, color)
@@ -58,7 +58,7 @@ def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
 def _panels(runs: Sequence[tuple[str, Run]], far: float) -> rrb.Container:
     joints = [joint_view(name, f"scene/{_place(i)}", far) for i, (name, _) in enumerate(runs)]
     filters = list(dict.fromkeys(label for _, run in runs for label in run.estimates))
-    errors = [series_view(f"{label}: estimate − truth [N·m]", f"error/{_entity(label)}") for label in filters]
+    errors = [series_view(f"{label}: estimate − truth [N·m]", f"error/{entity(label)}") for label in filters]
     return rrb.Horizontal(
         rrb.Grid(contents=joints, grid_columns=1 if len(joints) < 4 else 2),
         rrb.Vertical(
@@ -74,7 +74,3 @@ def _panels(runs: Sequence[tuple[str, Run]], far: float) -> rrb.Container:
 
 def _place(index: int) -> str:
     return f"run_{index + 1}"
-
-
-def _entity(name: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in name)

@@ -137,6 +137,11 @@ def layout(root: rrb.Container, end: float, live: bool = False) -> rrb.Blueprint
     )
 
 
+def entity(name: str) -> str:
+    """Return a name as a part of an entity path."""
+    return "".join(c if c.isalnum() else "_" for c in name)
+
+
 def rgb(color: str) -> list[int]:
     """Return `#RRGGBB` as bytes."""
     return [int(color[i : i + 2], 16) for i in (1, 3, 5)]
