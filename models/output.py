@@ -292,13 +292,14 @@ def _sweep(path: Path) -> None:
                 os.close(owner)
 
 
-def _own(path: Path) -> int | None:
-    """Lock a file or folder until this process ends. Return its descriptor; None if another process holds it."""
+def _own(path: Path, wait: bool = False) -> int | None:
+    """Lock a file or folder until this process ends. Return its descriptor; None if another process holds it, or the file
+    system has no locks."""
     if fcntl is None:
         return None
     held = os.open(path, os.O_RDONLY)
     try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(held, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError:
         os.close(held)
         return None
@@ -307,16 +308,12 @@ def _own(path: Path) -> int | None:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    if fcntl is None:
-        yield
-        return
-    held = os.open(path, os.O_RDONLY)
+    held = _own(path, wait=True)
     try:
-        with suppress(OSError):  # a file system without locks
-            fcntl.flock(held, fcntl.LOCK_EX)
         yield
     finally:
-        os.close(held)
+        if held is not None:
+            os.close(held)
 
 
 @contextmanager
