@@ -15,7 +15,7 @@ from ..models.recording import Measurement
 from .answer import Diagnosis
 from .conclusion import ANSWER, Conclusion
 from .data import coverage
-from .data.mistakes import find_mistakes, unclipped
+from .data.mistakes import Mistake, find_mistakes, unclipped
 from .data.segments import pushed, segments
 from .data.stretches import most_telling
 from .extension import extended
@@ -29,6 +29,7 @@ from .improvement import serves
 from .regression import Regression, regressions
 from .search import discrepancy
 from .search.calibrate import CHANCE, PLAINLY, calibrate
+from .search.clock import wrong_clock
 from .search.contribution import excess, noise_square
 from .search.explore import Explored, Explorer, Progress, without
 from .search.identifiability import limits
@@ -81,7 +82,9 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     offered = _offered(problem, measurement)
     plain = regressions(measurement, joint, conditioned)
     progress("calibrating the joint", 0.02)
-    found, slow = _search(problem, offered, plain, progress, deadline)
+    found, slow, clock = _search(problem, offered, plain, progress, deadline)
+    if clock is not None:
+        return invalid_data(joint, (*mistakes, clock))
     progress("numbers and their uncertainty", 0.92)
     if slow:
         problem, final = _corrected(problem, _polished(Fitter(problem), found.best))
@@ -114,8 +117,12 @@ def _search(
     plain: tuple[Regression, ...],
     progress: Progress,
     deadline: float,
-) -> tuple[Explored, bool]:
-    """Search known and unknown effects; also return whether slow errors may count as model discrepancy in the best fit."""
+) -> tuple[Explored, bool, Mistake | None]:
+    """Search known and unknown effects.
+
+    Returns:
+      The result, whether slow errors may count as model discrepancy in the best fit, and a wrong clock that explains more.
+    """
     slow = problem.link_measured
     if slow:
         fitter = Fitter(problem)
@@ -141,7 +148,8 @@ def _search(
         other = explorer.explore(base, base)
         if _unseen(problem, other.best) < _unseen(problem, found.best):
             found, slow = other, False
-    return (found if slow else _serving(problem, explorer, found)), slow
+    clock = wrong_clock(explorer, found) if time.monotonic() < deadline else None
+    return (found if slow else _serving(problem, explorer, found)), slow, clock
 
 
 def _with_unknown(problem: Problem, explorer: Explorer, found: Explored, slow: bool) -> Explored:

@@ -126,7 +126,7 @@ class Mistake:
     def remedy(self) -> str:
         """The correction, as a sentence."""
         if self.lost:
-            return "the file cannot be corrected"
+            return "the file cannot be corrected" if self.factor is None else f"correct it in the log: {self.change}"
         certain = "corrected by" if self.sure else "no change makes the channels fit the joint; the best is"
         return f"{certain}: {self.change}"
 
@@ -135,7 +135,7 @@ class Mistake:
         """The correction, in a few words."""
         if self.name == "no_gravity":
             return "log the whole torque, or state gravity_moment 0"
-        if self.lost:
+        if self.lost and self.factor is None:
             return "log it again"
         if self.becomes:
             return f"the column is {self.becomes}" + (
