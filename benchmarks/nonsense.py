@@ -27,7 +27,7 @@ import numpy as np
 import flexspline as fs
 from flexspline.diagnosis.data.mistakes import find_mistakes
 from flexspline.diagnosis.diagnose import diagnose
-from flexspline.models.errors import InputError
+from flexspline.models.errors import InputError, InputWarning
 from flexspline.models.joint import Joint, load_joint
 from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Recording, read_measurement, write_recording
@@ -213,13 +213,14 @@ def _estimated(path: Path) -> str:
     from flexspline.commands.estimate import command
 
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", InputWarning)
             command(measurement=path / "m", out=path / "e", joint=str(path / "joint.yaml"), filter_=_FILTERS)
     except InputError:
         return "refused"
     found = json.loads((path / "e" / "metrics.json").read_text(encoding="utf-8"))
     marked = {(name, what) for name, one in found.items() for what in one["no_estimates"]}
-    return "warned" if marked - {("pushed", "external_torque")} else "silent"
+    return "warned" if said or marked - {("pushed", "external_torque")} else "silent"
 
 
 def nonsense(count: int, seed: int, processes: int, until: float, seconds: float = 0.0) -> list[Answered]:

@@ -52,6 +52,7 @@ def command(
     joint's dynamics have bands only if `--filter` names them. Data with a mistake that makes estimates meaningless are refused.
     """
     from ..diagnosis.data.mistakes import require_sound
+    from ..diagnosis.regression import contradictions, regressions
     from ..estimator import registry
     from ..estimator.offline import beyond_range, estimate_recording, lacking, score, useless, write_estimates
     from ..models.files import json_text
@@ -71,6 +72,9 @@ def command(
     data, unread = require_sound(data, described)
     give_back_free_pages()
     _check_samples(measurement, data)
+    if "joint_torque" not in {m.column for m in unread}:
+        for text in contradictions(regressions(data, described)):
+            warnings.warn(f"{data.name}: {text}", InputWarning, stacklevel=2)
     for recording in data.recordings:
         for name, why in lacking(recording, filter_ or ()).items():
             raise _missing(recording, name, why)

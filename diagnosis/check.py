@@ -13,7 +13,7 @@ from ..models.joint import Joint
 from ..models.recording import Measurement
 from .data import coverage
 from .data.mistakes import Mistake, find_mistakes, mended_if_possible
-from .regression import Regression, regressions
+from .regression import Regression, contradictions, regressions
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def check(measurement: Measurement, joint: Joint) -> Check:
     """Check a measurement against a joint's description. If its mistakes can be corrected, the rest is of the corrected data.
 
     Warns:
-      InputWarning: a motor torque that does not match the motor current.
+      InputWarning: a motor torque that does not match the motor current, a load that a torque sensor contradicts.
     """
     mistakes = find_mistakes(measurement, joint)
     corrected = mended_if_possible(measurement, joint, mistakes)
@@ -88,6 +88,8 @@ def check(measurement: Measurement, joint: Joint) -> Check:
         coarser(data.recordings, joint), coverage.balances(data), regressions(data, joint, conditioned),
         tuple(name for name in causes.of(joint) if name not in reasons), reasons,
     )  # fmt: skip
+    for text in contradictions(found.regressions):
+        warnings.warn(f"{measurement.name}: {text}", InputWarning, stacklevel=2)
     for recording in data.recordings:
         ratio = coverage.torque_over_current(recording, joint)
         if ratio is not None:

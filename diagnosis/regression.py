@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..estimator.conditioning import Conditioned, condition
-from ..models.calibration import Calibration
+from ..models.calibration import CUT, Calibration
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
 from ..models.motion import smooth
@@ -174,6 +174,19 @@ def regressions(
     if "motor_current" in channels and "motor_torque" in channels:
         channels.remove("motor_torque")
     return tuple(one for name in channels if (one := _regress(used, joint, name)) is not None)
+
+
+def contradictions(every: Sequence[Regression]) -> tuple[str, ...]:
+    """Return the numbers of the load that a torque sensor contradicts, beyond any joint within tolerance, as sentences."""
+    names = ("gravity_moment", "inertia")
+    far = [
+        c for r in every if r.channel == "joint_torque" for c in r.coefficients if c.means in names and c.beyond > CUT
+    ]
+    return tuple(
+        f"joint_torque: {c.means.replace('_', ' ')} is {c.number:.3g} {c.unit}, not {c.described:.3g} ± {c.tolerance:.2g}: "
+        f"is the load as described{', and is time in seconds' if c.means == 'inertia' else ''}?"
+        for c in far
+    )
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------

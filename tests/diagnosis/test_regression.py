@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexspline.diagnosis.regression import regressions
+from flexspline.diagnosis.regression import contradictions, regressions
 from flexspline.models.joint import load_joint
 from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Measurement, Recording
@@ -121,3 +121,13 @@ def test_too_little_motion_says_nothing(tmp_path):
         regressions(measurement(tmp_path, time=time, link_position=rest, motor_current=rest), load_joint("test-joint"))
         == ()
     )
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.0, ""), (1.12, "time in seconds"), (0.9, "time in seconds")])
+def test_a_torque_sensor_contradicts_a_load_and_a_clock(scale, said, rng, tmp_path):
+    joint = load_joint("test-joint")
+    time, theta, _, a = motion(rng, 20.0)
+    torque = 9.0 * np.sin(theta) + 0.35 * a + 0.02 * rng.standard_normal(len(time))
+    data = measurement(tmp_path, time=scale * time, link_position=theta, joint_torque=torque)
+    found = contradictions(regressions(data, joint))
+    assert len(found) == bool(said) and said in "".join(found), found
