@@ -35,12 +35,9 @@ class ChangeSettings:
     slope: float = 0.004  # by how much the encoders' ratio may be off at the least to be another gear ratio, relative
     ratio: float = 10.0  # how many times as large or small another gear ratio may be
     whole: float = 1.5e-3  # by how much it may be off a whole number to be that, relative
-    offsets: int = 24  # of the angle's zero, that are tried in a turn
     smallest_offset: float = 0.015  # between the encoders [rad]
     # of all angles together [rad]: gravity's direction, a payload or a stop may explain less
     smallest_turn: float = 0.3
-    # smallest and largest delay of one encoder [s]: sound data may have less, more is not the same motion
-    latest: tuple[float, float] = (0.015, 0.3)
     turns: float = 0.03  # of the motor, by which a counter's whole number of turns may be off
     # smallest and largest ratio of a clock's unit to a second; the description's inertia explains smaller ratios
     clock: tuple[float, float] = (1.3, 2.7)
@@ -378,7 +375,7 @@ class Table:
             yield _entry("sign", "time", text, SETTINGS.price + 2)
 
     def _fitted(self, there: set[str], motions: list[tuple[Plausibility, SmoothedChannels]]) -> Iterator[Mistake]:
-        """Yield entries with a fitted number: gear ratio, time offset, zeros, clock."""
+        """Yield entries with a fitted number: gear ratio, zeros, clock."""
         N = self.joint.numbers["N"].value
         free = SETTINGS.price + SETTINGS.free
         positions = [name for name in POSITIONS if name in there]
@@ -393,11 +390,6 @@ class Table:
             yield _entry("gear_ratio", "motor_position", text, SETTINGS.price + more, factor=slope)
             text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
             yield _entry("gear_ratio", "link_position", text, free + 3, factor=slope)
-        lags = [_lag(m, N) for m in both]
-        for lag in {round(x, 2): x for x in [float(np.median(lags)), *lags]}.values() if lags else ():
-            if SETTINGS.latest[0] < abs(lag) < SETTINGS.latest[1]:
-                text = f"{1e3 * abs(lag):.3g} ms later than the other encoder"
-                yield _entry("late", POSITIONS[1] if lag > 0 else POSITIONS[0], text, free, seconds=abs(lag))
         between = _median(both, "motor_position", "link_position", N)
         if between is not None and abs(between) > SETTINGS.smallest_offset:
             yield _zero(("link_position",), between, free)
@@ -411,27 +403,17 @@ class Table:
         if command is not None and abs(command) > 0.1:
             yield _zero(_link_first(positions), command * side(_link_first(positions)[0], "link_position", N))
             yield _zero(("position_command",), -command, free)
-        loads = list(self._of_loads(there, motions))
-        yield from loads
-        # A zero of the angle cannot explain missing gravity.
-        angle = None if any(m.name == "no_gravity" for m in loads) else self._gravity_offset(motions)
-        if angle is not None:
-            if abs(angle) == math.pi and any(abs(p.p["gravity_angle"]) > 0.3 for p in self.plausible):
-                text = "gravity acts in the opposite direction: gravity_angle or all angles are off by half a turn"
-                yield replace(_sign(GRAVITY), description=text, offset=math.pi)
-            for columns in (positions, [*positions, "position_command"]):
-                if there.issuperset(columns):
-                    first = _link_first(columns)
-                    yield _zero(first, angle * side(first[0], "link_position", N))
+        yield from self._of_loads(there, motions)
 
     def _of_loads(self, there: set[str], motions: list[tuple[Plausibility, SmoothedChannels]]) -> Iterator[Mistake]:
-        """Yield what the best gravity and inertia show: an effort without gravity, or a wrong clock.
+        """Yield what the best gravity and inertia show: an effort without gravity, another zero of all angles, or a wrong clock.
 
         A clock scales inertia by the square of its error, and leaves gravity unchanged.
         """
         fits = {
             n: [(p, p.torque(m, n, True).coefficients) for p, m in motions if n in m] for n in DRIVING if n in there
         }
+        gravity = True
         for column, found in fits.items():
             if all(
                 p.p["Mg"] > SETTINGS.weight * p.rated
@@ -444,6 +426,9 @@ class Table:
                     "gravity (compensated or external torque), or is the joint's axis vertical?"
                 )
                 yield _entry("no_gravity", column, text, lost=True)
+                gravity = False
+        if gravity:  # a zero of the angle cannot explain missing gravity
+            yield from self._turned(there, [one for found in fits.values() for one in found])
         inertias = [c[0] for found in fits.values() for _, c in found]
         if not inertias or not self.still_arm:
             return
@@ -452,32 +437,18 @@ class Table:
             text = f"a second of the log is {1 / ratio:.3g} s: inertia is {ratio**2:.3g} times the description"
             yield _entry("unit", "time", text, SETTINGS.price + 2 * SETTINGS.free, factor=1 / ratio)
 
-    def _gravity_offset(self, motions: list[tuple[Plausibility, SmoothedChannels]]) -> float | None:
-        """Return the common offset of all angles that fits gravity best [rad]; None if it is small."""
-        weighed = [(p, m) for p, m in motions if p.p["Mg"] > 0 and any(n in m for n in DRIVING)]
-        fits = [p.torque(m, n) for p, m in weighed for n in DRIVING if n in m]
-        if not any(fit.suspicious or fit.vague for fit in fits):
-            return None
-
-        def agreement(angle: float) -> float:
-            total = 0.0
-            for p, m in weighed:
-                turned = {
-                    n: _plus(x, angle * side(n, "link_position", float(p.p["N"]))) if n in POSITIONS else x
-                    for n, x in m.channels.items()
-                }
-                moved = replace(m, channels=turned)
-                total += sum(p.torque(moved, n).agreement for n in DRIVING if n in m)
-            return total
-
-        width = 2 * math.pi / SETTINGS.offsets
-        tried = width * np.arange(-SETTINGS.offsets // 2 + 1, SETTINGS.offsets // 2 + 1)
-        best = float(tried[int(np.argmax([agreement(x) for x in tried]))])
-        while width > 0.02:
-            width /= 2
-            best = max((best - width, best, best + width), key=agreement)
-        best = next((x for x in (math.pi / 2, -math.pi / 2, math.pi, -math.pi) if abs(best - x) < 0.2), best)
-        return best if abs(best) > SETTINGS.smallest_turn else None
+    def _turned(self, there: set[str], fits: list[tuple[Plausibility, np.ndarray]]) -> Iterator[Mistake]:
+        """Yield offsets of all angles: quarter turns, and the one at which gravity has its described direction."""
+        across, along = (sum(float(c[k]) for p, c in fits if p.p["Mg"] > 0) for k in (2, 1))
+        positions = [name for name in POSITIONS if name in there]
+        for angle in (math.pi, math.pi / 2, -math.pi / 2, math.atan2(across, along)):
+            if angle == math.pi and any(abs(p.p["gravity_angle"]) > 0.3 for p in self.plausible):
+                text = "gravity acts in the opposite direction: gravity_angle or all angles are off by half a turn"
+                yield replace(_sign(GRAVITY), description=text, offset=math.pi)
+            for columns in (positions, [*positions, "position_command"]):
+                if there.issuperset(columns) and abs(angle) > SETTINGS.smallest_turn:
+                    first = _link_first(columns)
+                    yield _zero(first, angle * side(first[0], "link_position", self.joint.numbers["N"].value))
 
 
 def _entry(name: str, column: str, description: str, price: float = SETTINGS.price, **numbers: Any) -> Mistake:
@@ -528,21 +499,6 @@ def _median(motions: Sequence[SmoothedChannels], a: str, b: str, N: float) -> fl
         if a in m and b in m
     ]
     return float(np.median(np.concatenate(found))) if found else None
-
-
-def _lag(motion: SmoothedChannels, N: float) -> float:
-    """Return the delay of the link position against the motor position, at the best offset and slope [s]."""
-    lag, time = 0.0, motion.time
-    a, b = (motion.channels[name] / side(name, "link_position", N) for name in POSITIONS)
-
-    def later(x: np.ndarray, by: float) -> np.ndarray:
-        return np.column_stack([np.interp(time + by, time, x[:, k]) for k in range(2)])
-
-    for _ in range(4):  # linearised
-        now, other = later(b, max(lag, 0.0)), later(a, max(-lag, 0.0))
-        A = np.column_stack([now[:, 1], np.ones(len(now)), now[:, 0]])
-        lag += float(np.linalg.lstsq(A, other[:, 0] - now[:, 0], rcond=None)[0][0])
-    return lag
 
 
 def shrinkage(m: Mistake, new: Mapping[str, RelationFit], old: Mapping[str, RelationFit], effective: float) -> float:

@@ -110,7 +110,9 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
 
 def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     """Find mistakes of whole columns; the samples are correct."""
-    search = _Search(recordings, joint)
+    # A time offset shows in any unit, with any sign and zero.
+    late = [one for m, having in late_columns(recordings, joint) for one in _where(m, having, recordings)]
+    search = _Search(_apply(recordings, joint, late), joint)
     start, end = search.start, search.best()
     if _not_followed(start.fits, end.fits):
         end = start
@@ -130,22 +132,11 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     ]
     after = _worst([{n: fit for n, fit in fits.items() if n not in ignored} for fits in end.fits])
     found = [one for m, having in end.found for one in _where(m, having, recordings)]
-    others = [m for m in found if m.name != "late"]
-    try:
-        late = [
-            one
-            for m, having in late_columns(_apply(recordings, joint, others), joint)
-            for one in _where(m, having, recordings)
-        ]
-    except InputError:  # no signed torque is left
-        late = []
-    # All relations together determine the late column better than the search.
-    found = [*others, *(late or [m for m in found if m.name == "late"])]
     beyond = sum(map(_beyond, start.fits, end.fits)) > 0.5 * len(recordings)
-    if not late and (after < SETTINGS.wrong or beyond or not mends):
+    if after < SETTINGS.wrong or beyond or not mends:
         # The best change does not make the channels fit the joint.
         found = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in found]
-    return found
+    return [*late, *found]
 
 
 _Fits = Sequence[dict[str, RelationFit]]
