@@ -53,6 +53,9 @@ _UNSURE = 0.5  # largest confidence where no change makes the channels fit
 GRAVITY = "gravity_angle"
 """Column of a mistake in gravity's direction: the mounting's angle in the recording's YAML."""
 NO_CHANGE = "the channels do not fit this joint with any change of unit, sign or column"
+_FIXED = {
+    "swapped": "columns exchanged", "wrapped": "unwrapped", "glitch": "bridged", "stuck": "left out", "clipped": "left out",
+}  # fmt: skip
 _SI = {
     "motor_position": "rad", "link_position": "rad", "position_command": "rad", "motor_current": "A",
     "motor_torque": "N·m of the motor", "joint_torque": "N·m", "external_torque": "N·m",
@@ -130,31 +133,21 @@ class Mistake:
     @property
     def change(self) -> str:
         """The correction, in a few words."""
-        if self.name == "no_gravity":
-            return "log the whole torque, or state gravity_moment 0"
-        if self.lost and self.factor is None:
-            return "log it again"
+        times = "" if self.factor in (None, 1.0) else f"× {self.factor:.6g}"
+        if self.lost and not times:
+            return "log the whole torque, or state gravity_moment 0" if self.name == "no_gravity" else "log it again"
         if self.becomes:
-            return f"the column is {self.becomes}" + (
-                "" if self.becomes == "motor_current" else f", × {self.factor:.6g}"
-            )
+            return ", ".join([f"the column is {self.becomes}", *([times] if self.becomes != "motor_current" else [])])
         if self.name == "sign":
-            if self.column == "time":
-                return "rows in reverse order"
-            return "gravity_angle + π" if self.column == GRAVITY else "× −1"
+            return {"time": "rows in reverse order", GRAVITY: "gravity_angle + π"}.get(self.column, "× −1")
         if self.name == "angle_zero" or (self.name == "wrapped" and self.offset is not None):
             return f"{self.offset:+.5g} rad" + (", motor side by the gear ratio" if self.also else "")
-        if self.name == "velocity":
-            return "integrated" if self.factor is None else f"integrated, × {self.factor:.6g}"
-        fixed = {
-            "swapped": "columns exchanged", "wrapped": "unwrapped", "glitch": "bridged", "stuck": "left out",
-            "clipped": "left out", "late": f"{1e3 * (self.seconds or 0.0):.4g} ms earlier",
-        }  # fmt: skip
-        if self.name in fixed:
-            return fixed[self.name]
-        words = ["N"] if self.name == "gear_ratio" else []
-        words += [] if self.factor in (None, 1.0) else [f"× {self.factor:.6g}"]
-        return ", ".join([" ".join(words), *([] if self.offset is None else [f"{self.offset:+.6g} K"])]).strip(", ")
+        if self.name in _FIXED:
+            return _FIXED[self.name]
+        if self.name == "late":
+            return f"{1e3 * (self.seconds or 0.0):.4g} ms earlier"
+        words = {"velocity": ["integrated", times], "gear_ratio": [f"N {times}"]}.get(self.name, [times])
+        return ", ".join(filter(None, [*words, "" if self.offset is None else f"{self.offset:+.6g} K"]))
 
     def to_json(self) -> dict[str, Any]:
         """Return the mistake as in `diagnosis.json`."""
@@ -198,9 +191,7 @@ def undone(
         angles = [n for n in (*POSITIONS, "position_command") if n in found]
         return time, found | {n: _plus(found[n], math.pi * side(n, "link_position", N)) for n in angles}
     if m.becomes and m.column in found:
-        found[m.becomes] = (
-            (m.factor or 1.0) * found.pop(m.column) if m.becomes != "motor_current" else found.pop(m.column)
-        )
+        found[m.becomes] = (1.0 if m.becomes == "motor_current" else m.factor or 1.0) * found.pop(m.column)
         return time, found
     for column in (m.column, *m.also):
         if column not in found:
@@ -213,10 +204,7 @@ def undone(
             weight = weight / (1.0 if column == "joint_torque" else N * (p["Kt"] if column == "motor_current" else 1.0))
             found[column] = x + weight if x.ndim == 1 else x + weight[:, None] * np.array([1.0, 0.0, 0.0])
         elif m.name == "late":
-            later = time + (m.seconds or 0.0)
-            found[column] = np.stack([np.interp(later, time, part) for part in np.atleast_2d(x.T)], axis=-1).reshape(
-                x.shape
-            )
+            found[column] = np.interp(time + (m.seconds or 0.0), time, x)
         elif m.name == "velocity":
             found[column] = _integral(time, factor * x)
             guide = next((n for n in (*POSITIONS, "position_command") if n in found and n != column), None)

@@ -158,6 +158,32 @@ class _State:
         return sum(map(_total, self.fits)) - self.price
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """A change in one recording: channels with it, relations before and after, whether nothing changes, gain and cost."""
+
+    motion: SmoothedChannels | None
+    before: dict[str, RelationFit]
+    after: dict[str, RelationFit]
+    same: bool
+    more: float
+    cost: float
+
+    @property
+    def gain(self) -> float:
+        return self.more - self.cost
+
+    @property
+    def bears(self) -> float:
+        """The loss below which a change is not of all recordings."""
+        fits = not _suspicious(self.after) or _worst([self.after]) > _worst([self.before])
+        return SETTINGS.much_worse if fits else SETTINGS.worse
+
+    @property
+    def fits_only_with(self) -> bool:
+        return _suspicious(self.before) and not _suspicious(self.after)
+
+
 class _Search:
     """Beam search for the changes that make the channels fit.
 
@@ -216,73 +242,59 @@ class _Search:
         time, channels = undone(m, motion.time, motion.channels, self._N, self._p[i])
         return replace(motion, time=time, channels=channels)
 
+    def _tried(self, m: Mistake, i: int, state: _State) -> _Tried:
+        """Apply one more change to a recording."""
+        motion, before = self._without(m, i, state), state.fits[i]
+        if motion is state.motions[i] or motion is None:
+            return _Tried(motion, before, before, True, 0.0, 0.0)
+        after = self._plausible[i].agreement(motion, state.motions[i], before)
+        cost = shrinkage(m, after, before, AGREEMENT.effective)
+        cost += SETTINGS.beyond * (_beyond(before, after) - _beyond(after, before))
+        return _Tried(motion, before, after, False, _total(after) - _total(before), cost)
+
     def _steps(self, state: _State) -> list[_State]:
         """Return all states with one more change whose gain exceeds its price."""
         steps, done = list[_State](), {(m.name, m.column) for m, _ in state.found}
-        old = state.fits
         for m in self._table.entries(state.motions):
             if (m.name, m.column) in done:
                 continue
-            motions = [self._without(m, i, state) for i in range(len(old))]
-            same = [new is before for new, before in zip(motions, state.motions, strict=True)]
-            new = [
-                f if s or motion is None else p.agreement(motion, before, f)
-                for p, motion, before, f, s in zip(self._plausible, motions, state.motions, old, same, strict=True)
-            ]
-            more = [_total(b) - _total(a) for a, b in zip(old, new, strict=True)]
-            costs = [
-                0.0 if s else shrinkage(m, b, a, AGREEMENT.effective) for a, b, s in zip(old, new, same, strict=True)
-            ]
-            costs = [
-                cost + SETTINGS.beyond * (_beyond(a, b) - _beyond(b, a))
-                for cost, a, b in zip(costs, old, new, strict=True)
-            ]
-            gains = [x - cost for x, cost in zip(more, costs, strict=True)]
-            bears = [
-                SETTINGS.much_worse if not _suspicious(b) or _worst([b]) > _worst([a]) else SETTINGS.worse
-                for a, b in zip(old, new, strict=True)
-            ]
-            everywhere = all(gain > least for gain, least in zip(gains, bears, strict=True))
+            tried = [self._tried(m, i, state) for i in range(len(state.fits))]
+            everywhere = all(one.gain > one.bears for one in tried)
             least = m.price + SETTINGS.sure
-            chosen = [i for i, g in enumerate(gains) if everywhere or g > least]
-            # A change found in one recording holds in another whose channels fit only with it, even if torques shrink.
-            chosen = sorted({*chosen, *(
-                i for i, (a, b) in enumerate(zip(old, new, strict=True))
-                if chosen and more[i] > least and _suspicious(a) and not _suspicious(b)
-            )})  # fmt: skip
-            if not chosen or not self._leaves_motion(m, [motions[i] for i in chosen], [new[i] for i in chosen]):
+            chosen = [i for i, one in enumerate(tried) if everywhere or one.gain > least]
+            if chosen:  # a change also holds where channels fit only with it, even if torques shrink
+                chosen = [i for i, one in enumerate(tried) if i in chosen or (one.fits_only_with and one.more > least)]
+            if not chosen or not self._leaves_motion(m, [tried[i] for i in chosen]):
                 continue  # a link at rest fits any torque
-            everywhere = all(i in chosen or unchanged for i, unchanged in enumerate(same))
+            everywhere = all(i in chosen or one.same for i, one in enumerate(tried))
             price = m.price if everywhere else (m.price + SETTINGS.one_of_several) * len(chosen)
-            gain = sum(gains[i] for i in chosen) - price
+            gain = sum(tried[i].gain for i in chosen) - price
             if gain <= 0:
                 continue
             sure = replace(m, confidence=1 / (1 + math.exp(-min(gain, 50.0) / 3)))
             steps.append(
                 _State(
-                    tuple(motions[i] if i in chosen else state.motions[i] for i in range(len(old))),
-                    tuple(new[i] if i in chosen else old[i] for i in range(len(old))),
+                    tuple(one.motion if i in chosen else state.motions[i] for i, one in enumerate(tried)),
+                    tuple(one.after if i in chosen else one.before for i, one in enumerate(tried)),
                     (*state.found, (sure, tuple(chosen))),
-                    state.price + price + sum(costs[i] for i in chosen),
-                    state.credit + sum(min(costs[i], 0.0) for i in chosen if not m.becomes),
+                    state.price + price + sum(tried[i].cost for i in chosen),
+                    state.credit + sum(min(tried[i].cost, 0.0) for i in chosen if not m.becomes),
                 )
             )
         for column in POSITIONS:
             steps = self._best_unit(steps, column)
         return steps
 
-    def _leaves_motion(self, m: Mistake, mended: Sequence[SmoothedChannels | None], fits: _Fits) -> bool:
+    def _leaves_motion(self, m: Mistake, tried: Sequence[_Tried]) -> bool:
         """Return whether corrected angles still move; always true if the other encoder agrees with them."""
         if m.name != "unit" or m.factor is None or abs(m.factor) >= 1.0:
             return True
-        for motion, relations in zip(mended, fits, strict=True):
-            there = [name for name in POSITIONS if motion is not None and name in motion]
-            if motion is None or not {m.column, *m.also} & set(there):
+        for motion, relations in ((one.motion, one.after) for one in tried):
+            there = {name for name in POSITIONS if motion is not None and name in motion}
+            mine = there & {m.column, *m.also}
+            if motion is None or not mine or (len(there) == 2 and not relations["encoders"].suspicious):
                 return True
-            if len(there) == 2 and not relations["encoders"].suspicious:
-                return True
-            there = [name for name in there if name in (m.column, *m.also)]
-            if max(np.ptp(motion.channels[n][:, 0]) / side(n, "", self._N) for n in there) > SETTINGS.least_motion:
+            if max(np.ptp(motion.channels[n][:, 0]) / side(n, "", self._N) for n in mine) > SETTINGS.least_motion:
                 return True
         return False
 

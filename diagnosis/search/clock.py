@@ -16,7 +16,7 @@ from ..data.mistakes import Mistake
 from ..fit.coordinates import hypotheses
 from .explore import Explored, Explorer
 
-_LIKELY, _SUREST = 0.5, 0.99  # confidence above which the clock is wrong, and largest one
+_SUREST = 0.99  # largest confidence
 _LEAST = 0.04  # relative error of a clock, from both inertias, from which on it is looked at
 _POWERS = {
     "Jm": 2, "Jw": 2, "Jl": 2, "bm": 1, "bw": 1, "bl": 1, "df": 1, "dw": 1, "s1": 1, "link_damping": 1, "vs": -1,
@@ -61,8 +61,9 @@ def wrong_clock(explorer: Explorer, found: Explored) -> Mistake | None:
     start = clock.coordinates({"scale": float(np.exp(0.25 * (rotor + link)))})
     one = explorer.fitter.fit((clock,), np.concatenate([problem.start(None, ()), start]))
     other = explorer.with_unknown(found, one)
-    if other is None or (sure := other.probabilities(clock.key)[1]) < _LIKELY:
+    if other is None:
         return None
+    sure = other.probabilities(clock.key)[0]
     scale = clock.values(other.best.theta[-1:])["scale"]
     text = (
         f"a second of the log is {1 / scale:.3g} s: rotor and link inertia are both {scale**2:.3g} times the description, "
