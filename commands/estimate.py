@@ -73,7 +73,7 @@ def command(
     give_back_free_pages()
     _check_samples(measurement, data)
     if "joint_torque" not in {m.column for m in unread}:
-        for text in contradictions(regressions(data, described)):
+        for text in contradictions(regressions(data, described), described):
             warnings.warn(f"{data.name}: {text}", InputWarning, stacklevel=2)
     for recording in data.recordings:
         for name, why in lacking(recording, filter_ or ()).items():

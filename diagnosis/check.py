@@ -88,7 +88,7 @@ def check(measurement: Measurement, joint: Joint) -> Check:
         coarser(data.recordings, joint), coverage.balances(data), regressions(data, joint, conditioned),
         tuple(name for name in causes.of(joint) if name not in reasons), reasons,
     )  # fmt: skip
-    for text in contradictions(found.regressions):
+    for text in contradictions(found.regressions, joint):
         warnings.warn(f"{measurement.name}: {text}", InputWarning, stacklevel=2)
     for recording in data.recordings:
         ratio = coverage.torque_over_current(recording, joint)

@@ -34,6 +34,7 @@ MOVING = 0.05
 """Share of the 98 % quantile of speed below which a sample is at rest, where friction is unknown up to its level."""
 LONGEST = 300.0
 """Seconds of a measurement that a regression uses, the most informative ones."""
+_LEAST = 0.02  # share of the rated torque, below which a torque sensor reads little but its noise
 _STEP = 2e-3  # s: of the smoother's grid
 _EDGE = 0.1  # s: at both ends of a part, where the smoother settles
 _FEWEST = 20  # samples in motion for each coefficient
@@ -176,12 +177,11 @@ def regressions(
     return tuple(one for name in channels if (one := _regress(used, joint, name)) is not None)
 
 
-def contradictions(every: Sequence[Regression]) -> tuple[str, ...]:
+def contradictions(every: Sequence[Regression], joint: Joint) -> tuple[str, ...]:
     """Return the numbers of the load that a torque sensor contradicts, beyond any joint within tolerance, as sentences."""
-    names = ("gravity_moment", "inertia")
-    far = [
-        c for r in every if r.channel == "joint_torque" for c in r.coefficients if c.means in names and c.beyond > CUT
-    ]
+    names, least = ("gravity_moment", "inertia"), _LEAST * joint.numbers["rated_torque"].value
+    sensed = [r for r in every if r.channel == "joint_torque" and r.spread > least]
+    far = [c for r in sensed for c in r.coefficients if c.means in names and c.beyond > CUT]
     return tuple(
         f"joint_torque: {c.means.replace('_', ' ')} is {c.number:.3g} {c.unit}, not {c.described:.3g} ± {c.tolerance:.2g}: "
         f"is the load as described{', and is time in seconds' if c.means == 'inertia' else ''}?"

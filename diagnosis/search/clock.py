@@ -23,7 +23,7 @@ _POWERS = {
 }  # fmt: skip
 
 
-class Clock(Cause):
+class ClockScale(Cause):
     """Scale of the clock. It is not of the joint, and so not in the library of causes."""
 
     name = "clock"
@@ -36,7 +36,7 @@ class Clock(Cause):
             p[field] *= values["scale"] ** power
 
 
-_CLOCK = Clock()
+_CLOCK = ClockScale()
 
 
 def wrong_clock(explorer: Explorer, found: Explored) -> Mistake | None:

@@ -129,5 +129,5 @@ def test_a_torque_sensor_contradicts_a_load_and_a_clock(scale, said, rng, tmp_pa
     time, theta, _, a = motion(rng, 20.0)
     torque = 9.0 * np.sin(theta) + 0.35 * a + 0.02 * rng.standard_normal(len(time))
     data = measurement(tmp_path, time=scale * time, link_position=theta, joint_torque=torque)
-    found = contradictions(regressions(data, joint))
+    found = contradictions(regressions(data, joint), joint)
     assert len(found) == bool(said) and said in "".join(found), found
