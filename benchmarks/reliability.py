@@ -22,12 +22,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flexspline.models.errors import InputError
 from flexspline.models.output import MANIFEST, output_folder, recover
 from flexspline.models.recording import write_recording
+from flexspline.models.signals import WRENCH
 
 from .full_disk import full_disk
 from .jobs import Job, content, jobs, recording
@@ -279,11 +280,14 @@ def _generation(out: Path, number: int) -> None:
 
 
 def memory(hours: float, commands: Sequence[str] = ("check", "estimate", "run")) -> list[tuple[str, float, float]]:
-    """Largest memory [MB, 10⁶ bytes] and time [s] of commands: `check` and `estimate` over a recording of so many hours at 1 kHz,
+    """Largest memory [MB, 10⁶ bytes] and time [s] of commands: `check` and `estimate` over ten columns of so many hours at 1 kHz,
     `run` over ten minutes and over so many hours. Compiling, which happens once and takes 100 MB more, is done before."""
     found = []
     with _folder() as folder:
-        write_recording(recording(3600 * hours), folder / "m")
+        long = recording(3600 * hours)
+        axes = {name: long["joint_torque"] for name in WRENCH[:5]}
+        write_recording(replace(long, columns={**long.columns, **axes}), folder / "m")
+        del long, axes
         write_recording(recording(6.0), folder / "short")
         estimators = [word for name in ("EKF", "model", "current") for word in ("--filter", name)]
         plain, out = ["--no-figures", "--no-recording"], ["--out", str(folder / "r")]
