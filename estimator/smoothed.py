@@ -53,7 +53,7 @@ class Motion(NamedTuple):
 
     def every(self, steps: int) -> Motion:
         """Return every so many-th point of the grid."""
-        return self._make([*(kept(values[::steps]) for values in self[:-1]), self.cutoff])
+        return Motion._make([*(kept(values[::steps]) for values in self[:-1]), self.cutoff])
 
     def at(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return values on the grid at other times [s]."""
