@@ -34,7 +34,7 @@ from .tuning_parameters import TuningParameter
 
 _LASTS = 0.01
 """Correlation time [s] of errors of the current that are not white noise, such as its ripple."""
-_TORQUES = frozenset({"torque", "variance", "external_torque"})
+TORQUES = frozenset({"torque", "variance", "external_torque"})
 """Outputs that are torques or their variance."""
 
 
@@ -385,7 +385,7 @@ class CausalEstimator(Estimator):
         return self._watched(signals, joint, self.outputs)
 
     def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        return self._watched(signals, joint, _TORQUES.intersection(self.outputs))
+        return self._watched(signals, joint, TORQUES.intersection(self.outputs))
 
     def _watched(self, signals: Signals, joint: KnownJoint, names: Collection[str]) -> Posterior:
         """Return the posterior over signals with some of the outputs, block by block. All outputs decide whether it
