@@ -7,6 +7,7 @@ on. Linux, with a C compiler.
 from __future__ import annotations
 
 import json
+import math
 import mmap
 import os
 import re
@@ -122,12 +123,15 @@ HANG = 300.0
 """Seconds after which a command that met a full disk counts as frozen."""
 
 
-def full_disk(names: list[str] | None = None, step: int = 1) -> tuple[Counter[str], list[str]] | None:
+def full_disk(
+    names: list[str] | None = None, step: int = 1, until: float = math.inf
+) -> tuple[Counter[str], list[str]] | None:
     """Run commands on a disk that is full from the n-th write on: how often each was refused or done, and what was wrong.
 
     Args:
       names: of the jobs (`jobs.jobs`); all by default.
       step: every so many n only.
+      until: when no further one begins, as of `time.time`.
 
     Returns:
       None where there is no C compiler, or another system than Linux.
@@ -145,19 +149,19 @@ def full_disk(names: list[str] | None = None, step: int = 1) -> tuple[Counter[st
         disk = folder / "disk"
         disk.mkdir()
         environment = os.environ | {"LD_PRELOAD": str(library), "FULL_DISK": f"{disk}/", "FULL_DISK_STATE": str(state)}
-        words = [sys.executable, "-m", __name__, str(folder), str(step), *(names or [])]
+        words = [sys.executable, "-m", __name__, str(folder), str(step), str(until), *(names or [])]
         process = subprocess.run(words, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     done, wrong = json.loads(process.stdout)
     return Counter(done), wrong
 
 
-def _every(folder: Path, step: int, names: list[str]) -> tuple[Counter[str], list[str]]:
+def _every(folder: Path, step: int, until: float, names: list[str]) -> tuple[Counter[str], list[str]]:
     """`full_disk` in a process with the refusing library, by a fork for every n."""
     done, wrong = Counter[str](), []
     with (folder / "state").open("r+b") as file:
         state = mmap.mmap(file.fileno(), 16)
     for job in jobs(folder / "inputs"):
-        if names and job.name not in names:
+        if (names and job.name not in names) or time.time() > until:
             continue
         out, kept = folder / "disk" / job.name, folder / "kept" / job.name
         _call(job.words("old", out), folder)
@@ -165,6 +169,8 @@ def _every(folder: Path, step: int, names: list[str]) -> tuple[Counter[str], lis
         shutil.copytree(out, kept)
         old = content(out)
         for most in _counts(step):
+            if time.time() > until:
+                break
             shutil.rmtree(out)
             shutil.copytree(kept, out)
             state[:] = struct.pack("ll", 0, most)
@@ -264,4 +270,4 @@ def _main(words: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    print(json.dumps(_every(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])))
+    print(json.dumps(_every(Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), sys.argv[4:])))

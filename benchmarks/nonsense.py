@@ -17,7 +17,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -229,18 +229,15 @@ def nonsense(count: int, seed: int, processes: int, until: float, seconds: float
     Args:
       count, seed: of the inputs.
       processes: that share them.
-      until: when no further one begins, as of `time.time`.
+      until: when those that are not answered are given up, as of `time.time`.
       seconds: as of `one`.
     """
     found = []
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for answered in pool.map(partial(_in_time, seed, until, seconds), range(count)):
-            if answered is not None:
-                found.append(answered)
-                if answered.silent:
-                    print(f"  silent: {answered.kind}, {answered.what} {answered.verdict}", file=sys.stderr, flush=True)
+    with multiprocessing.get_context("spawn").Pool(processes) as pool, suppress(multiprocessing.TimeoutError):
+        answers = pool.imap_unordered(partial(one, seed, seconds=seconds), range(count))
+        for _ in range(count):
+            answered = answers.next(max(until - time.time(), 0.0))
+            found.append(answered)
+            if answered.silent:
+                print(f"  silent: {answered.kind}, {answered.what} {answered.verdict}", file=sys.stderr, flush=True)
     return found
-
-
-def _in_time(seed: int, until: float, seconds: float, number: int) -> Answered | None:
-    return one(seed, number, seconds) if time.time() < until else None

@@ -22,12 +22,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flexspline.models.errors import InputError
 from flexspline.models.output import MANIFEST, output_folder, recover
 from flexspline.models.recording import write_recording
+from flexspline.models.signals import WRENCH
 
 from .full_disk import full_disk
 from .jobs import Job, content, jobs, recording
@@ -52,30 +53,30 @@ class Fuzzed:
 
 
 def fuzz(count: int, seed: int, processes: int = 2, until: float = math.inf) -> Fuzzed:
-    """Use `count` inputs in separate processes, so that one that freezes or ends its process is seen; `until`: when no
-    further batch begins, as of `time.time`."""
+    """Use `count` inputs in separate processes, so that one that freezes or ends its process is seen; `until`: when this
+    ends, as of `time.time`."""
     spans = [(begin, min(begin + _BATCH, count)) for begin in range(0, count, _BATCH)]
     outcomes: Counter[tuple[str, str]] = Counter()
     failures: list[str] = []
     with ThreadPoolExecutor(processes) as pool:
-        for lines in pool.map(lambda span: list(_batch(seed, *span)) if time.time() < until else [], spans):
+        for lines in pool.map(lambda span: list(_batch(seed, *span, until)), spans):
             for kind, became, failure in lines:
                 outcomes[kind, became] += 1
                 failures += [failure] if failure else []
     return Fuzzed(outcomes, failures)
 
 
-def _batch(seed: int, begin: int, end: int) -> Iterator[tuple[str, str, str]]:
+def _batch(seed: int, begin: int, end: int, until: float) -> Iterator[tuple[str, str, str]]:
     """Kind, outcome and failure of the inputs of a span, in one process after the other where one ends early."""
-    while begin < end:
+    while begin < end and time.time() < until:
         words = [sys.executable, "-m", "benchmarks.fuzzing", str(seed), str(begin), str(end)]
         process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         assert process.stdout is not None
         at = begin
         while True:
             used, ready = _seconds_used(process.pid), False
-            while not ready and _seconds_used(process.pid) - used < HANG:
-                ready = bool(select.select([process.stdout], [], [], 2.0)[0])
+            while not ready and _seconds_used(process.pid) - used < HANG and time.time() < until:
+                ready = bool(select.select([process.stdout], [], [], min(2.0, max(until - time.time(), 0.0)))[0])
             line = process.stdout.readline() if ready else None
             if not line:
                 break
@@ -86,7 +87,7 @@ def _batch(seed: int, begin: int, end: int) -> Iterator[tuple[str, str, str]]:
                 kind, became, *failure = rest
                 yield kind, became, f"{kind} {number}: {' '.join(failure)}" if failure[0] else ""
                 begin = int(number) + 1
-        if begin < end:
+        if begin < end and time.time() < until:
             why = "freezes" if line is None else f"took its process down ({process.wait()})"
             yield "?", "failed", f"input {at}: {why}"
             begin = at + 1
@@ -136,7 +137,7 @@ def kills(random_moments: int, chosen: int, seed: int, until: float = math.inf) 
     rng, done, wrong = random.Random(seed), Counter[str](), []
     with _folder() as folder:
         every = [job for job in jobs(folder) if job.repeats]
-        complete = {job.name: _outputs(job, folder) for job in every}
+        complete = {job.name: _outputs(job, folder) for job in every if time.time() < until}
         for number in range(random_moments):
             if time.time() > until:
                 break
@@ -278,12 +279,18 @@ def _generation(out: Path, number: int) -> None:
 # --- memory -----------------------------------------------------------------------------------------------------------
 
 
-def memory(hours: float, commands: Sequence[str] = ("check", "estimate", "run")) -> list[tuple[str, float, float]]:
-    """Largest memory [MB, 10⁶ bytes] and time [s] of commands: `check` and `estimate` over a recording of so many hours at 1 kHz,
-    `run` over ten minutes and over so many hours. Compiling, which happens once and takes 100 MB more, is done before."""
+def memory(
+    hours: float, commands: Sequence[str] = ("check", "estimate", "run"), until: float = math.inf
+) -> list[tuple[str, float, float]]:
+    """Largest memory [MB, 10⁶ bytes] and time [s] of commands: `check` and `estimate` over ten columns of so many hours at 1 kHz,
+    `run` over ten minutes and over so many hours, as many as end by `until`.
+    Compiling, which happens once and takes 100 MB more, is done before."""
     found = []
     with _folder() as folder:
-        write_recording(recording(3600 * hours), folder / "m")
+        long = recording(3600 * hours)
+        axes = {name: long["joint_torque"] for name in WRENCH[:5]}
+        write_recording(replace(long, columns={**long.columns, **axes}), folder / "m")
+        del long, axes
         write_recording(recording(6.0), folder / "short")
         estimators = [word for name in ("EKF", "model", "current") for word in ("--filter", name)]
         plain, out = ["--no-figures", "--no-recording"], ["--out", str(folder / "r")]
@@ -300,13 +307,16 @@ def memory(hours: float, commands: Sequence[str] = ("check", "estimate", "run"))
         ):
             if words[0] not in commands:
                 continue
+            if time.time() > until:
+                break
             # Compiled once and for all, into a separate folder: estimates of another measurement are not replaced.
             first = [word.replace(str(folder / "m"), str(folder / "short")) for word in words]
             if "--out" in first:
                 first[first.index("--out") + 1] += "-first"
             _call([*first, "--set", "duration=5"] if words[0] == "run" else first)
-            size, seconds, error = peak([sys.executable, "-m", "flexspline", *words])
-            found.append((f"{name} ({error})" if error else name, size, seconds))
+            with suppress(subprocess.TimeoutExpired):
+                size, seconds, error = peak([sys.executable, "-m", "flexspline", *words], until - time.time())
+                found.append((f"{name} ({error})" if error else name, size, seconds))
     return found
 
 
@@ -319,14 +329,22 @@ print(usage.ru_maxrss, time.monotonic() - began, os.waitstatus_to_exitcode(statu
 """
 
 
-def peak(words: Sequence[str]) -> tuple[float, float, str]:
+def peak(words: Sequence[str], limit: float = math.inf) -> tuple[float, float, str]:
     """Largest memory [MB, 10⁶ bytes] and time [s] of a program, and the last line of its errors where it fails.
+
+    It is ended after `limit` seconds.
 
     Linux counts with a process what the one that started it held until then: a small one is put between.
     """
-    done = subprocess.run([sys.executable, "-c", _PEAK, *words], capture_output=True, text=True, check=True)
-    kilobytes, seconds, code = done.stdout.split()
-    error = (done.stderr.strip().splitlines() or ["?"])[-1] if int(code) else ""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", _PEAK, *words], text=True, start_new_session=True, **pipes) as process:
+        try:
+            out, err = process.communicate(timeout=None if limit == math.inf else max(limit, 0.0))
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            raise
+    kilobytes, seconds, code = out.split()
+    error = (err.strip().splitlines() or ["?"])[-1] if int(code) else ""
     return float(kilobytes) * 1024 / 1e6, float(seconds), error
 
 
@@ -343,7 +361,7 @@ def main() -> None:
     """Run what is asked and print its figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability", description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="part", help=f"any of {', '.join(PARTS)}; all by default")
-    parser.add_argument("--minutes", type=float, default=10.0, help="that all of it may take, but for what has begun")
+    parser.add_argument("--minutes", type=float, default=10.0, help="that all of it may take")
     parser.add_argument("--inputs", type=int, default=12_000, help="made at random, at most")
     parser.add_argument("--wrong", type=int, default=200, help="plausible wrong inputs, at most")
     parser.add_argument(
@@ -364,27 +382,31 @@ def main() -> None:
     failed = False
     if "fuzz" in parts:
         found = fuzz(asked.inputs, asked.seed, asked.processes, until("fuzz"))
-        print(f"inputs, seed {asked.seed}: {sum(found.outcomes.values())}, failed: {len(found.failures)}")
+        print(f"inputs, seed {asked.seed}: {found.outcomes.total()} answered in time, failed: {len(found.failures)}")
         for (kind, became), count in sorted(found.outcomes.items()):
             print(f"  {kind:10} {became:8} {count}")
         print(*(f"  {line}" for line in found.failures), sep="\n")
-        failed |= bool(found.failures)
+        failed |= bool(found.failures) or not found.outcomes
     if "nonsense" in parts:
         answers = nonsense(asked.wrong, asked.seed, asked.processes, until("nonsense"), asked.diagnose)
         silent = Counter(a.kind for a in answers if a.silent)
         wrong = sum(a.kind != "sound" for a in answers)
-        print(f"silent nonsense, seed {asked.seed}: {silent.total()} of {wrong} wrong inputs")
+        print(
+            f"silent nonsense, seed {asked.seed}: {silent.total()} of {wrong} wrong inputs; {len(answers)} answered in time"
+        )
         for kind, count in sorted(Counter(a.kind for a in answers).items()):
             own = [a for a in answers if a.kind == kind]
             named, warned = sum(bool(a.mistakes) for a in own), sum(a.estimate != "silent" for a in own)
             print(f"  {kind:14} {silent[kind]:3} of {count:3} silent; by check {named}, by estimate {warned}")
-        failed |= silent.total() > 0.05 * wrong
+        failed |= silent.total() > 0.05 * wrong or not answers
     for part, result in (
         ("exchanges", lambda: exchanges(20 * asked.kills, asked.seed, until("exchanges"))),
         ("kills", lambda: kills(asked.kills, asked.chosen, asked.seed, until("kills"))),
         (
             "disk",
-            lambda: full_disk(None if asked.minutes > 60 else ["import", "estimate"], 1 if asked.minutes > 60 else 10),
+            lambda: full_disk(
+                None if asked.minutes > 60 else ["import", "estimate"], 1 if asked.minutes > 60 else 10, until("disk")
+            ),
         ),
     ):
         if part in parts:
@@ -400,7 +422,7 @@ def main() -> None:
             print(*(f"  {line}" for line in wrong), sep="\n")
             failed |= bool(wrong)
     if "memory" in parts:
-        for name, size, seconds in memory(asked.hours):
+        for name, size, seconds in memory(asked.hours, until=until("memory")):
             print(f"memory: {name}: {size:.0f} MB, {seconds:.0f} s")
     sys.exit(failed)
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import tempfile
 import warnings
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError, InputWarning
@@ -16,6 +14,7 @@ from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, wit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from rich.table import Table
 
@@ -81,9 +80,9 @@ def command(
     report: dict[str, dict[str, Any]] = {}
     lines: dict[str, list[tuple[Any, str]]] = {}
     bands = described.uncertainty is not None
-    with output_folder(out, maker) as folder, tempfile.TemporaryDirectory(dir=folder, prefix=".estimates") as spool:
+    with output_folder(out, maker) as folder:
         for recording in data.recordings:
-            found = estimate_recording(recording, described, filter_, bands, Path(spool))
+            found = estimate_recording(recording, described, filter_, bands)
             for name in filter_ or ():
                 if name in found.left_out:
                     raise _missing(recording, name, found.left_out[name])

@@ -141,7 +141,7 @@ def _runs(folders: list[Path], arm: Path | None = None) -> str:
 
 def _sweep(folder: Path) -> str:
     from ..models.files import parse
-    from ..scenarios.studies.dataset import read_note
+    from ..scenarios.studies.dataset import read_note, read_values
     from ..scenarios.studies.statistics import read_csv
     from ..scenarios.studies.study import Study
     from ..views.pages.sweep import sweep_html
@@ -150,7 +150,8 @@ def _sweep(folder: Path) -> str:
     study = parse(note["study"], Study, str(folder / "study.json"))
     found = read_csv(folder / "summary.csv", study)
     worst = sorted((folder / "worst").glob("*.yaml"))
-    return sweep_html(study, found, note["versions"], note["digest"], folder, _study_of(note, folder), worst)
+    values = read_values(folder, study.metrics[0])
+    return sweep_html(study, found, note["versions"], note["digest"], folder, _study_of(note, folder), worst, values)
 
 
 def _study_of(note: dict[str, Any], folder: Path) -> str:

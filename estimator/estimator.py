@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..models import causes
-from ..models.chunks import BLOCK, parts
+from ..models.chunks import BLOCK, large, parts
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting, Sensors
@@ -34,7 +34,7 @@ from .tuning_parameters import TuningParameter
 
 _LASTS = 0.01
 """Correlation time [s] of errors of the current that are not white noise, such as its ripple."""
-_TORQUES = frozenset({"torque", "variance", "external_torque"})
+TORQUES = frozenset({"torque", "variance", "external_torque"})
 """Outputs that are torques or their variance."""
 
 
@@ -190,7 +190,7 @@ class KnownJoint:
     def as_read(self, torque: np.ndarray, signals: Signals) -> np.ndarray:
         """Return the torque sensor's reading [N·m] of a joint torque, shape (n,), with its known gain, offset, drift
         and discrepancy. `signals`: n samples with both positions."""
-        read = np.empty(len(torque))
+        read = large(len(torque))
         read_joint_torque(
             np.asarray(torque, dtype=np.float64), signals["motor_position"], signals["link_position"],
             self.since(signals.time), self.record, np.zeros(1, dtype=LOWPASS), read,
@@ -385,14 +385,14 @@ class CausalEstimator(Estimator):
         return self._watched(signals, joint, self.outputs)
 
     def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        return self._watched(signals, joint, _TORQUES.intersection(self.outputs))
+        return self._watched(signals, joint, TORQUES.intersection(self.outputs))
 
     def _watched(self, signals: Signals, joint: KnownJoint, names: Collection[str]) -> Posterior:
         """Return the posterior over signals with some of the outputs, block by block. All outputs decide whether it
         is trusted."""
         watch = Watch(joint.rated_torque, self.outputs)
         arrays = self.step(joint, interval_of(signals.time)).arrays()
-        column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
+        column = {name: large(len(signals.time)) for name in self.outputs if name in names}
         before = np.zeros(len(self.outputs))
         for part, samples in sample_blocks(signals, self.needs, joint, self.reads_command):
             out = np.zeros((len(samples), len(self.outputs)))
@@ -446,7 +446,7 @@ def interval_of(time: np.ndarray) -> float:
     """
     intervals = np.diff(time)
     median = float(np.median(intervals))
-    spread = 1.4826 * float(np.median(np.abs(intervals - median)))
+    spread = 1.4826 * float(np.median(np.abs(intervals - median), overwrite_input=True))
     allowed = 3 * 1.25 * spread / np.sqrt(len(intervals))
     if median > 0.0 and allowed > 1e-9:
         for round_one in (float(f"{median:.2g}"), 1 / float(f"{1 / median:.2g}")):

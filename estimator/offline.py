@@ -22,16 +22,18 @@ from __future__ import annotations
 
 import math
 import os
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ..models import dynamics, laws
-from ..models.chunks import StoredColumns, parts
+from ..models.chunks import kept, large, parts
 from ..models.errors import InputError
 from ..models.files import write_into_place
 from ..models.joint import Joint
@@ -98,7 +100,11 @@ class Prepared:
     def read_by(self, estimator: Estimator) -> Signals:
         """Return the signals for an estimator: without the effect of constant errors on torsion, unless it estimates
         these errors itself, with a known load."""
-        return self.signals if estimator.learns and not self.known.load_error else _shifted(self.signals, self.lasting)
+        return self.signals if estimator.learns and not self.known.load_error else self._plain
+
+    @cached_property
+    def _plain(self) -> Signals:
+        return _shifted(self.signals, self.lasting)
 
     def lacks(self, estimator: Estimator) -> str | None:
         """Return why an estimator cannot run here; None if it can."""
@@ -125,7 +131,7 @@ class Estimates:
       name: of the recording.
       time: as in its table, shape (n,) [s].
       torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments
-        of fewer than `SHORTEST` samples. It may be in files (`models.chunks`).
+        of fewer than `SHORTEST` samples.
       external_torque: external torque on the link by estimator, without that of an arm's motion, likewise.
       left_out: reason by estimator without an estimate: a missing channel, a divergence.
       notes: findings, one entry a segment (`Prepared.note`).
@@ -180,7 +186,6 @@ def estimate_recording(
     joint: Joint,
     names: Sequence[str] | None = None,
     bands: bool = False,
-    folder: Path | None = None,
     record: np.ndarray | None = None,
     conditioned: Conditioned | None = None,
 ) -> Estimates:
@@ -192,24 +197,24 @@ def estimate_recording(
       names: of the registry; all by default.
       bands: whether to compute error bands (`bands`). Costly estimators (`Estimator.costly`) get them only by name:
         they take ten times the work.
-      folder: for files with the estimates; by default they are in memory.
       record: parameter record for the estimators instead of the joint's, shape (1,).
 
     Raises:
       InputError: an unknown name.
     """
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
+
+    def blank() -> np.ndarray:
+        values = large(len(recording.time))
+        values.fill(np.nan)
+        return values
+
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
     conditioned = conditioned or condition(recording, joint)
     blind = conditioned.recording.signals.without("joint_torque", "external_torque")
-    arm_torque = known.record[0]["arm_scale"] * recording.torque_of_arm
     if recording.load is not None:
-        blind = blind.with_columns(arm_torque=arm_torque)
-    n = len(recording.time)
-    found, deviation = (
-        {what: StoredColumns(n, folder, f"{recording.name}_{kind}{what}") for what in _QUANTITIES}
-        for kind in ("", "deviation_")
-    )
+        blind = blind.with_columns(arm_torque=known.record[0]["arm_scale"] * recording.torque_of_arm)
+    found, deviation = ({what: defaultdict[str, np.ndarray](blank) for what in _QUANTITIES} for _ in range(2))
     left_out: dict[str, str] = {}
     untrusted: dict[str, str] = {}
     notes = []
@@ -232,9 +237,9 @@ def estimate_recording(
         ) -> None:
             if bands:
                 estimates[what, name] = values
-            if what == "external_torque":
-                values = values - arm_torque[segment]
-            found[what].put(name, segment, values)
+            if what == "external_torque" and "arm_torque" in blind:
+                values = values - blind["arm_torque"][segment]
+            found[what][name][segment] = values
 
         _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS, untrusted)
         if bands:
@@ -242,12 +247,10 @@ def estimate_recording(
             banded = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
             found_bands = _bands(signals, known, ready, banded, estimates, beliefs, joint, recording.link)
             for (what, name), values in found_bands.items():
-                deviation[what].put(name, segment, values)
-    kept = [name for name in estimators if name not in left_out]
-    for columns in found.values():
-        columns.keep(kept)
-    torque, external = (found[what] for what in _QUANTITIES)
-    spread, external_spread = (deviation[what] for what in _QUANTITIES)
+                deviation[what][name][segment] = values
+    there = [name for name in estimators if name not in left_out]
+    torque, external = ({name: found[what][name] for name in there} for what in _QUANTITIES)
+    spread, external_spread = (dict(deviation[what]) for what in _QUANTITIES)
     return Estimates(
         recording.name, recording.stamps, torque, external, left_out, notes, spread, external_spread, untrusted
     )
@@ -370,7 +373,9 @@ def _estimate(
         if beliefs is not None and posterior.variance is not None:
             beliefs[name] = np.maximum(posterior.variance, 0.0)
         take("torque", name, ready.known.as_read(posterior.mean, ready.signals))
-        external = ready.own_torque - posterior.mean if posterior.external is None else posterior.external
+        external = posterior.external
+        if external is None:
+            external = np.subtract(ready.own_torque, posterior.mean, out=large(len(posterior.mean)))
         if posterior.external is not None and "arm_torque" in ready.signals:
             external = external + ready.signals["arm_torque"]
         take("external_torque", name, external)
@@ -497,20 +502,20 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     motion = smoothed.smooth_motion(signals, joint, cutoff)
     own, grid = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint)), motion.time
     arm = smoothed.arm_torque(motion, signals)
-    payload = observe(joint, motion.every(DECIMATION), (own - arm)[::DECIMATION], current)
+    payload = observe(joint, motion.every(DECIMATION), own[::DECIMATION] - arm[::DECIMATION], current)
     joint = joint.with_numbers(back_driven_friction=payload.back_driven_friction)
     note |= {"bandwidth": cutoff} | payload._asdict()
     torque = smoothed.torque_from_current(motion, joint)[::_TRACK].copy()
-    coarse, motion = (own - arm)[::_TRACK].copy(), motion.every(_TRACK)  # 300 MB less for an hour
-    own = np.interp(signals.time, grid, own)
+    coarse, motion = own[::_TRACK] - arm[::_TRACK], motion.every(_TRACK)  # 300 MB less for an hour
+    own = kept(np.interp(signals.time, grid, own))
     joint = replace(joint, load_error=unlike(joint, motion, torque, coarse))
     if joint.load_error > 0.0:
         note |= {"load_error": joint.load_error}
     walk, lasting = 1.0, np.zeros(len(signals.time))
     if measured >= set(POSITIONS):
         zero, std, wander, plain = encoder_zero(signals, joint, motion, torque)
-        lasting = plain - zero
-        signals = signals.with_columns(link_position=signals["link_position"] - zero)
+        lasting = np.subtract(plain, zero, out=plain)
+        signals = _shifted(signals, zero)
         if wander > joint.link_wander:
             note |= {"torsion_error": wander * float(joint.p["K2"])}
         joint = replace(joint, link_zero=std, link_wander=wander)
@@ -545,9 +550,9 @@ def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: 
 
 
 def _shifted(signals: Signals, zero: np.ndarray) -> Signals:
-    return (
-        signals.with_columns(link_position=signals["link_position"] - zero) if "link_position" in signals else signals
-    )
+    if "link_position" not in signals:
+        return signals
+    return signals.with_columns(link_position=np.subtract(signals["link_position"], zero, out=large(len(zero))))
 
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:
@@ -642,7 +647,8 @@ def encoder_zero(
         for some in (constants, constants[:, :0])
     )  # fmt: skip
     at = signals.time, motion.time
-    return np.interp(*at, found.zero), float(np.mean(found.std)), found.wander, np.interp(*at, plain.zero)
+    zero, lasting = (kept(np.interp(*at, one.zero)) for one in (found, plain))
+    return zero, float(np.mean(found.std)), found.wander, lasting
 
 
 def _constants(

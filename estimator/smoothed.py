@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..models import dynamics, laws
+from ..models.chunks import kept, large
 from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
 from ..models.motion import BLOCK, smooth
@@ -52,8 +53,7 @@ class Motion(NamedTuple):
 
     def every(self, steps: int) -> Motion:
         """Return every so many-th point of the grid."""
-        names = self._fields[:-1]
-        return self._replace(**{name: getattr(self, name)[::steps].copy() for name in names})
+        return Motion._make([*(kept(values[::steps]) for values in self[:-1]), self.cutoff])
 
     def at(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return values on the grid at other times [s]."""
@@ -80,22 +80,15 @@ def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int
     since = s.time if start == time[0] == 0.0 else s.time - time[0] + start  # 30 MB less for an hour
     return Motion(
         s.time, since, position[0], velocity[0], acceleration[0], position[1], velocity[1],
-        acceleration[1], position[2], heat, cutoff,
+        acceleration[1], position[2], kept(heat), cutoff,
     )  # fmt: skip
 
 
 def _rotor_link_current(signals: Signals, joint: KnownJoint) -> np.ndarray:
-    link = link_positions(signals, joint) if "link_position" in signals else None
-    found = np.zeros((len(signals.time), 3))
-    if link is not None:
-        found[:, 1] = link
-        del link  # 30 MB less for an hour
-    motor = _motor_positions(signals["motor_position"], joint.record)
-    found[:, 0] = motor
-    if "link_position" not in signals:
-        found[:, 1] = motor / joint.p["N"]
-    if "motor_current" in signals:
-        found[:, 2] = signals["motor_current"]
+    found = large(len(signals.time), 3)
+    found[:, 0] = _motor_positions(signals["motor_position"], joint.record)
+    found[:, 1] = link_positions(signals, joint) if "link_position" in signals else found[:, 0] / joint.p["N"]
+    found[:, 2] = signals.get("motor_current", 0.0)
     return found
 
 
@@ -166,7 +159,7 @@ def white_noise(time: np.ndarray, values: np.ndarray) -> float:
     for begin in range(0, len(difference), BLOCK):
         part = slice(begin, begin + BLOCK + 3)
         difference[begin : begin + BLOCK] = _third_differences(time[part], values[part])
-    return float(_ROBUST * np.median(np.abs(difference)))
+    return float(_ROBUST * np.median(np.abs(difference, out=difference), overwrite_input=True))
 
 
 def _third_differences(time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -180,12 +173,12 @@ def _third_differences(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 def torque_from_current(motion: Motion, joint: KnownJoint) -> np.ndarray:
     """Return the flexspline torque Tf [N·m] on the grid: current less friction (with the LuGre bristle) and the
     drive's inertia."""
-    return _torque_from_current(motion, joint.record)
+    return _torque_from_current(motion, joint.record, large(len(motion.time)))
 
 
 @kernel
-def _torque_from_current(m, record):
-    p, out = record[0], np.empty(len(m.time))
+def _torque_from_current(m, record, out):
+    p = record[0]
     z, T = 0.0, 0.0
     for i in range(len(out)):
         w, since, heat = m.motor_velocity[i], m.since[i], m.temperature[i]
@@ -212,12 +205,13 @@ def own_torque(motion: Motion, joint: KnownJoint, load: np.ndarray | None = None
     Args:
       load: flexspline torque [N·m], shape (n,), on which a model discrepancy may depend; 0 by default.
     """
-    return _own_torque(motion, np.zeros(len(motion.time)) if load is None else load, joint.record)
+    load = np.zeros(len(motion.time)) if load is None else load
+    return _own_torque(motion, load, joint.record, large(len(load)))
 
 
 @kernel
-def _own_torque(m, load, record):
-    p, out = record[0], np.empty(len(load))
+def _own_torque(m, load, record, out):
+    p = record[0]
     angle, rate, a = 0.0, 0.0, m.link_acceleration
     for i in range(len(out)):
         state = dynamics.drive_state(

@@ -1,14 +1,19 @@
-"""Long series in parts, and columns in files instead of memory."""
+"""Long series in parts, and large arrays in files instead of memory."""
 
 from __future__ import annotations
 
+import math
+import mmap
+import os
+import shutil
+import tempfile
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+import time
+import weakref
+from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
-
-from .tables import naming
 
 BLOCK = 1 << 16
 """Samples of a long series per part: they fit a processor's cache."""
@@ -19,49 +24,45 @@ def parts(count: int, block: int = BLOCK) -> Iterator[slice]:
     return (slice(begin, min(begin + block, count)) for begin in range(0, count, block))
 
 
-class StoredColumns(Mapping[str, np.ndarray]):
-    """Columns of float64 by name, shape (n,) each, in memory or in files; parts without values are NaN."""
+_LARGE = 1 << 22
+"""Bytes from which an array of `large` is in a file: nine minutes at 1 kHz."""
+_EVERY = 0.03  # s
+_mapped: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+_lock = threading.Lock()
 
-    def __init__(self, n: int, folder: Path | None = None, stem: str = ""):
-        """Start without columns. `folder`: existing, for files whose names begin with `stem`; None: in memory."""
-        self._n, self._folder, self._stem = n, folder, stem
-        self._columns: dict[str, Path | np.ndarray] = {}
-        self._lock = threading.Lock()
 
-    def put(self, name: str, part: slice, values: np.ndarray) -> None:
-        """Write a part of a column."""
-        with self._lock:
-            column = self._columns.get(name)
-            if column is None:
-                column = self._columns[name] = self._blank()
-        if isinstance(column, np.ndarray):
-            column[part] = values
-            return
-        with naming(column), column.open("r+b") as file:
-            file.seek(8 * part.start)
-            file.write(np.ascontiguousarray(values, dtype=np.float64).data)
+def large(*shape: int) -> np.ndarray:
+    """Return a float64 array of undefined content.
 
-    def _blank(self) -> Path | np.ndarray:
-        if self._folder is None:
-            return np.full(self._n, np.nan)
-        path = self._folder / f"{self._stem}_{len(self._columns)}"
-        with naming(path), path.open("wb") as file:
-            for part in parts(self._n):
-                file.write(np.full(part.stop - part.start, np.nan).data)
-        return path
+    A large one is in an unnamed temporary file, if there is room, and in memory only where it was used in the last
+    `_EVERY` seconds. A program that is killed leaves nothing.
+    """
+    size = 8 * math.prod(shape)
+    if size >= _LARGE and size < shutil.disk_usage(tempfile.gettempdir()).free:
+        with suppress(OSError, AttributeError), tempfile.TemporaryFile() as file:  # AttributeError: not on this system
+            os.posix_fallocate(file.fileno(), 0, size)  # a full disk would end the program later
+            pages = mmap.mmap(file.fileno(), size)
+            with _lock:
+                if not _mapped:
+                    threading.Thread(target=_release, daemon=True).start()
+                _mapped.add(pages)
+            return np.frombuffer(pages).reshape(shape)
+    return np.empty(shape)
 
-    def keep(self, names: Sequence[str]) -> None:
-        """Select and order columns."""
-        self._columns = {name: self._columns[name] if name in self._columns else self._blank() for name in names}
 
-    def __getitem__(self, name: str) -> np.ndarray:
-        column = self._columns[name]
-        if isinstance(column, np.ndarray):
-            return column
-        return np.asarray(np.memmap(column, np.float64, "r", shape=(self._n,)))
+def kept(values: np.ndarray) -> np.ndarray:
+    """Return a copy as an array of `large`."""
+    found = large(*values.shape)
+    found[...] = values
+    return found
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
 
-    def __len__(self) -> int:
-        return len(self._columns)
+def _release() -> None:
+    """Take the arrays of `large` out of memory, again and again; they return from their files where they are used."""
+    while True:
+        with _lock:
+            if not _mapped:
+                return
+            for pages in _mapped:
+                pages.madvise(mmap.MADV_DONTNEED)
+        time.sleep(_EVERY)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .chunks import kept, large
 from .kernels import kernel
 
 CUTOFF = 120.0
@@ -232,13 +233,13 @@ def smooth(
     # A last sample on the grid counts in spite of rounding.
     count = int((time[-1] - time[0]) / step + 1e-3) // every + 1
     c = y.shape[1]
-    value, rate, acceleration = (np.empty((size, count)) for size in (c, *[c if moving is None else moving] * 2))
+    value, rate, acceleration = (large(size, count) for size in (c, *[c if moving is None else moving] * 2))
     _smooth(since, y, y[0].copy(), scale * interval, scale, scale**2, step, every, block, value, rate, acceleration)
     grid = np.arange(count, dtype=np.float64)
     grid *= every
     grid *= step
     grid += time[0]
-    return Smooth(grid, value.T, rate.T, acceleration.T)
+    return Smooth(kept(grid), value.T, rate.T, acceleration.T)
 
 
 NOISY = 0.02

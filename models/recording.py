@@ -22,7 +22,7 @@ from pydantic import model_validator
 from . import units
 from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
-from .chunks import BLOCK
+from .chunks import BLOCK, large
 from .errors import InputError, InputWarning, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, load_joint
@@ -582,13 +582,13 @@ def _parquet_column(path: Path, file: pa.parquet.ParquetFile, name: str) -> np.n
     """Return a column of numbers, shape (n,), read in batches: Arrow keeps memory that it once had."""
     begin = 0
     with reading_parquet(path):
-        found = np.empty(file.metadata.num_rows)
+        found = large(file.metadata.num_rows)
         for batch in file.iter_batches(BLOCK, columns=[name]):
             column = batch.column(0)
             if column.null_count:
                 i = begin + int(np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0])
                 raise InputError(f"{path}: column {name!r}, {_row(str(path), i)}: expected a number, got none")
-            found[begin : begin + len(column)] = column.to_numpy()
+            found[begin : begin + len(column)] = np.from_dlpack(column)  # `to_numpy` would import pandas, 40 MB
             begin += len(column)
         if begin < len(found):
             raise ValueError(f"expected {len(found)} rows, as its footer states, got {begin}")

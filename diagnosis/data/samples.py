@@ -481,9 +481,8 @@ def _travelled(x: np.ndarray) -> float:
 
 def _leaves_softly(x: np.ndarray, end: int) -> bool:
     """Return whether a column continues after a run of equal values without a jump."""
-    steps = np.abs(np.diff(x))
-    after = steps[end : end + 5]
-    return end < len(x) and (not len(after) or steps[end - 1] <= 3 * float(after.max()) + 1e-12)
+    steps = np.abs(np.diff(x[end - 1 : end + 6]))
+    return len(steps) > 0 and (len(steps) == 1 or bool(steps[0] <= 3 * float(steps[1:].max()) + 1e-12))
 
 
 def _clipped(

@@ -8,14 +8,15 @@ joints known within tolerance that is worse than without (`augmented` is for tho
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 
+from ...models.signals import Signals
 from ...models.step import Step, step_of
 from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, write_out
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, Posterior
 from ..joint_model import TUNING, ProcessNoise
 from ..tuning_parameters import TuningParameter
 
@@ -43,6 +44,12 @@ class DynamicsEKF(CausalEstimator):
         "extended Kalman filter on the joint's own equations of motion (`estimator.joint_model`)"
     )
     compiled: ClassVar[Step] = _step
+
+    def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        known, process, column, untrusted = signals.__dict__.get("_filtered", (None, None, {}, None))
+        if type(self) is DynamicsEKF and known is joint and process == self.process:  # by rts_smoother
+            return replace(self.posterior(signals.time, column), untrusted=untrusted)
+        return super().torques(signals, joint)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = np.zeros(1, SETTINGS)

@@ -12,13 +12,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...models.chunks import parts
+from ...models.chunks import large, parts
 from ...models.kernels import kernel
 from ...models.motion import BLOCK
 from ...models.signals import Signals
 from ..dynamics_filter import FILTER, OUT, filter_step, write_out
 from ..errors import FilterDiverged
-from ..estimator import Estimator, KnownJoint, Posterior, fields_of, interval_of, part_samples
+from ..estimator import TORQUES, Estimator, KnownJoint, Posterior, fields_of, interval_of, part_samples
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
 from ..smoothed import in_time
 from ..trust import Watch
@@ -123,12 +123,15 @@ class RTSSmoother(Estimator):
                 raise FilterDiverged(self.name, at, float(signals.time[at]), why)
             return samples
 
-        watch = Watch(joint.rated_torque, outputs)
+        watch, forwards = Watch(joint.rated_torque, outputs), {name: large(n) for name in TORQUES.intersection(outputs)}
         for i, part in enumerate(blocks):
             known[i] = memory[0]
             samples = run(part)
             watch.add(samples["time"], rows[: len(samples)])
-        column = {name: np.empty(n) for name in names}
+            for name, values in forwards.items():
+                values[part] = rows[: len(samples), outputs.index(name)]
+        signals.__dict__["_filtered"] = (joint, self.process, forwards, watch.reason)  # for dynamics_ekf
+        column = {name: large(n) for name in names}
         for i, part in reversed(list(enumerate(blocks))):
             k, later = part.stop - part.start, part.stop < n
             if later:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -24,6 +25,7 @@ import pyarrow.parquet as pq
 from ...models.errors import InputError
 from ...models.files import check_format, read_json, write_into_place
 from ...models.output import MANIFEST
+from ...models.tables import reading_parquet
 from .design import Design
 
 try:
@@ -202,6 +204,24 @@ def _is_whole(path: Path) -> bool:
     if not {"run", "seed", "key", "filter"} <= set(names):
         raise InputError(f"{path}: expected rows of a sweep, got the columns {', '.join(names)}")
     return True
+
+
+def read_values(folder: Path, metric: str) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Return a metric of all rows of a sweep's folder, with their seeds: scenario → filter → values and seeds, shape (n,) each,
+    ascending, without failed runs.
+
+    Raises:
+      InputError: a file with other content.
+    """
+    found: dict[str, dict[str, list[pa.Table]]] = {}
+    for path in sorted(folder.glob("rows/scenario=*/cell=*/runs-*.parquet")):
+        with reading_parquet(path), pq.ParquetFile(path) as file:
+            table = file.read(columns=["seed", "filter", metric]).drop_null()
+            scenario = found.setdefault(path.parent.parent.name.partition("=")[2], {})
+            for name in pc.unique(table["filter"]).to_pylist():
+                scenario.setdefault(name, []).append(table.filter(pc.equal(table["filter"], name)))
+    sorted_ = {s: {n: pa.concat_tables(t).sort_by(metric) for n, t in of.items()} for s, of in found.items()}
+    return {s: {n: (t[metric].to_numpy(), t["seed"].to_numpy()) for n, t in of.items()} for s, of in sorted_.items()}
 
 
 def read_note(note: Path) -> dict[str, Any]:

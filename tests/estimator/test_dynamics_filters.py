@@ -14,6 +14,7 @@ from test_symmetry import seen
 
 from flexspline.estimator import KnownJoint, SensorNoise, get, joint_model, quantised
 from flexspline.estimator.dynamics_filter import SETTINGS
+from flexspline.estimator.estimator import CausalEstimator
 from flexspline.estimator.filters import rts_smoother
 from flexspline.estimator.joint_model import (
     BRISTLE,
@@ -331,3 +332,23 @@ def test_the_smoother_in_blocks_is_that_of_the_whole(record, monkeypatch):
         assert all(found.columns[name].tobytes() == values.tobytes() for name, values in whole.columns.items())
         assert torques.mean.tobytes() == whole.mean.tobytes() and torques.external.tobytes() == whole.external.tobytes()
         assert not torques.columns and torques.innovation is None
+
+
+def test_the_filter_after_its_smoother_over_the_same_signals_is_not_run_again(record, monkeypatch):
+    """The smoother's forward pass is `dynamics_ekf`, to the bit; for another joint or other numbers it runs."""
+    (signals, _), known = sample(record, 7, 1500), KnownJoint(record, EXACT)
+    expected = get("dynamics_ekf").torques(signals, known)
+    get("rts_smoother").torques(signals, known)
+    monkeypatch.setattr(CausalEstimator, "_watched", lambda *given: pytest.fail("it runs"))
+    found = get("dynamics_ekf").torques(signals, known)
+    for name in ("time", "mean", "variance", "external"):
+        assert getattr(found, name).tobytes() == getattr(expected, name).tobytes()
+    assert found.untrusted == expected.untrusted
+    ekf, ukf = get("dynamics_ekf"), get("dynamics_ukf")
+    for other, joint in (
+        (ekf, replace(known, friction=0.1)),
+        (ukf, known),
+        (replace(ekf, process=MATCHED), known),
+    ):
+        with pytest.raises(pytest.fail.Exception, match="it runs"):
+            other.torques(signals, joint)

@@ -11,6 +11,8 @@ from html import unescape
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from browser import assert_fits, look, sheets
 
@@ -22,6 +24,7 @@ from flexspline.models.tables import read_table, write_table
 from flexspline.scenarios.evaluation import contact
 from flexspline.scenarios.run import Run
 from flexspline.scenarios.run_folder import save_run
+from flexspline.scenarios.studies.dataset import read_values
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
 from flexspline.views import contact_views
@@ -429,6 +432,30 @@ def test_a_study_says_who_is_better_where(sweep_page):
     assert "flexspline sweep levels --seeds 18 --out sweeps/s" in text
     assert "abcdef012345" in text and "Noise <1>" in text
     assert sweep_page.count('<svg class="chart"') == 2
+
+
+def test_a_study_shows_distributions_and_the_worst_seeds(tmp_path):
+    values = np.arange(1.0, 21.0)
+    spread = {"no_load": {"EKF": (values, np.arange(100, 120)), "RAREKF": (values[:3], np.array([7, 8, 8]))}}
+    page = sweep_html(STUDY, found(), {}, "abc", tmp_path, values=spread)
+    text = text_of(page)
+    assert page.count('<svg class="chart"') == 3  # one more than without
+    assert "no_load EKF 10.5 19.1 20 119, 118, 117" in text and "no_load RAREKF 2 2.9 3 8, 7" in text
+
+
+def test_values_of_a_sweep_are_those_of_its_rows(tmp_path):
+    folder = Path(__file__).parents[1] / "frozen" / "sweep"
+    rows = pa.concat_tables([pq.read_table(p, partitioning=None) for p in sorted(folder.glob("rows/*/*/*.parquet"))])
+    found = read_values(folder, "rms")
+    assert list(found) == ["short"] and set(found["short"]) == set(rows["filter"].to_pylist())
+    for name, (values, seeds) in found["short"].items():
+        own = [r for r in rows.to_pylist() if r["filter"] == name]
+        assert sorted((r["rms"], r["seed"]) for r in own) == list(zip(values.tolist(), seeds.tolist(), strict=True))
+    bad = tmp_path / "rows" / "scenario=s" / "cell=0" / "runs-0-0.parquet"
+    bad.parent.mkdir(parents=True)
+    bad.write_bytes(b"PAR1")
+    with pytest.raises(InputError, match=r"runs-0-0\.parquet: not a readable Parquet file"):
+        read_values(tmp_path, "rms")
 
 
 def test_a_summary_is_read_back(tmp_path):

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...models import plugins
+from ..numbers import number
 from ..sweep_tables import cell, metric_column, panels_of, sign_of, sweep_rows, value_text
 from .chart import Chart, limits
 from .rendering import render
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from ...scenarios.studies.study import Study
 
 _SHOWN = 12  # charts at most
+_WORST = 3  # seeds
 
 
 def sweep_html(
@@ -31,6 +34,7 @@ def sweep_html(
     folder: Path,
     source: str = "",
     worst: Sequence[Path] = (),
+    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]] = MappingProxyType({}),
 ) -> str:
     """Return the page as text: one file without references to others.
 
@@ -40,6 +44,7 @@ def sweep_html(
       folder: of the dataset.
       source: name or path of the study for `flexspline sweep`; empty if unknown.
       worst: files of the run with the largest first metric of each scenario.
+      values: scenario → filter → first metric of all runs, ascending, and their seeds, shape (n,) each.
     """
     kinds = line_kinds(study.names)
     metric = study.metrics[0]
@@ -59,6 +64,8 @@ def sweep_html(
         "failed": [(s.filter, s.scenario, s.failed, s.runs) for s in found if s.failed],
         "column": metric_column(metric),
         "entries": [(kinds[name], name) for name in study.names],
+        "spread": _spread(values, metric, kinds),
+        "largest": _largest(values, metric),
         "charts": _charts(study, found, metric, kinds),
         "tables": [_table(study, found, m) for m in study.metrics],
         "axes": [titles.get(name, name) for name in found[0].columns],
@@ -115,6 +122,37 @@ def _table(study: Study, found: Sequence[Aggregate], metric: str) -> dict[str, A
         cells = [(cell(of.get(name), metric, column), sign_of(of.get(name), metric)) for name in study.names]
         rows.append((scenario, at, cells))
     return {"title": column.title, "meaning": column.meaning, "rows": rows}
+
+
+def _spread(
+    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], metric: str, kinds: dict[str, str]
+) -> list[list[Chart]]:
+    """Charts of the distribution of a metric over seeds and settings: the share of the runs with at most this value."""
+    column, charts = metric_column(metric), []
+    for scenario, of in values.items():
+        every = column.scale * np.concatenate([v for v, _ in of.values()])
+        chart = Chart(
+            limits(np.append(every, 0.0), 0.0), (0.0, 105.0), scenario, column.title, "runs [%]", width=540, height=260
+        )
+        for name, (found, _) in of.items():
+            share = 100 * np.arange(len(found) + 1) / max(len(found), 1)
+            chart.line(np.repeat(column.scale * found, 2), np.repeat(share, 2)[1:-1], kinds[name])
+        charts.append([chart])
+    return charts[:_SHOWN]
+
+
+def _largest(
+    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], metric: str
+) -> list[tuple[str, str, list[str]]]:
+    """Scenario, filter, and median, 95 % quantile, maximum and the seeds with the largest values of a metric."""
+    column = metric_column(metric)
+    return [
+        (scenario, name, [
+            *(number(column.scale * float(x), 3) for x in (np.median(v), np.quantile(v, 0.95), v[-1])),
+            ", ".join(map(str, list(dict.fromkeys(seeds[::-1].tolist()))[:_WORST])),
+        ])
+        for scenario, of in values.items() for name, (v, seeds) in of.items() if len(v)
+    ]  # fmt: skip
 
 
 def _charts(study: Study, found: Sequence[Aggregate], metric: str, kinds: dict[str, str]) -> list[list[Chart]]:
