@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import swing
+import yaml
 
+import flexspline as fs
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.validate import validate
 from flexspline.models.arm import Load
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
-from flexspline.models.joint_parts import ValidRange
+from flexspline.models.joint_parts import Effect, Estimate, ValidRange
 from flexspline.models.recording import Measurement, write_recording
 from flexspline.models.tables import read_table
 
@@ -262,3 +264,32 @@ def test_lara8_from_its_layout(shared, tmp_path, flexspline):
     one, other = (x["residual"]["motor_current"] for x in (found, extended))
     assert other["rms"] < one["rms"] and abs(other["mean"]) < 0.2 * abs(one["mean"])
     assert Path(tmp_path / "extended" / "joint3_outbound.parquet").is_file()
+
+
+def test_eccentricity_of_the_motor_encoder_is_no_acceleration(tmp_path):
+    """At 480 rad/s an eccentricity of 12 mrad is 2,700 rad/s² in the reading, which the rotor does not make."""
+    values = {"amplitude": Estimate(value=0.012, unit="rad"), "phase": Estimate(value=0.7, unit="rad")}
+    effect = Effect(name="motor_encoder_eccentricity", parameters=values)
+    joint = tmp_path / "eccentric.yaml"
+    load_joint("test-joint").model_copy(update={"effects": [effect]}).write(joint)
+    way = [(0.5, 0.0), (1.1, 1.5), (2.3, -1.5), (3.5, 1.5), (4.7, -1.5), (5.5, 0.0)]  # s, rad
+    scenario = tmp_path / "fast.yaml"
+    scenario.write_text(
+        yaml.safe_dump(
+            {
+                "name": "fast", "joint": str(joint), "known_joint": "test-joint", "duration": 6.0, "filters": ["model"],
+                "mounting": "no_load", "description": "fast", "trajectory": [{"time": t, "position": x} for t, x in way],
+            }
+        ),
+        encoding="utf-8",
+    )  # fmt: skip
+    recording = fs.simulate(scenario).as_recording()
+
+    def error(known) -> float:
+        simulated = validate(Measurement("fast", tmp_path, (recording,)), known).recordings[0].simulated
+        return float(np.sqrt(np.nanmean((recording["motor_current"] - simulated["motor_current"]) ** 2)))
+
+    noise = load_joint("test-joint").sensors.motor_current.noise
+    described, known = error(load_joint("test-joint")), error(load_joint(joint))
+    print(f"current error {described:.3f} A as described, {known:.3f} A with the effect, noise {noise:.3f} A")
+    assert described > 0.5 and known < 2.5 * noise
