@@ -290,7 +290,8 @@ def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
     start = f
     # An unknown effect has no description to stay near.
     if ratio > ANSWER.quiet and not any(isinstance(h, discrepancy.Spline) for h in f.model):
-        start = Fitter(problem).settle(replace(f, noise=f.noise.louder(min(ratio, ANSWER.far))))
+        settled = Fitter(problem).settle(replace(f, noise=f.noise.louder(min(ratio, ANSWER.far))))
+        start = f if _lost(problem, settled, f) else settled
     less, unbiased = without_noise_mean(problem, start)
     found = fit_to_averages(less, unbiased)
     if found is f:

@@ -328,6 +328,24 @@ def actual_motor_position(reading, p):
 
 
 @kernel
+def actual_motor_motion(reading, velocity, acceleration, p, passband=0.0):
+    """Return position [rad], velocity and acceleration of the rotor from a smoothed reading of the motor encoder and its
+    derivatives, less the encoder's eccentricity.
+
+    An eccentricity A changes the apparent acceleration by A ω². `passband` as in `transmission`: the smoother reduces it.
+    """
+    size, phase = p.motor_eccentricity, p.motor_eccentricity_phase
+    position, rate, change = reading + 0.0 * size, velocity + 0.0 * size, acceleration + 0.0 * size
+    if size != 0.0:
+        seen = size * laws.magnitude_response(1.0, abs(velocity) * passband)
+        position = reading - (seen * math.sin(reading + phase) - size * math.sin(phase))
+        slope = 1.0 + seen * math.cos(position + phase)
+        rate = velocity / slope
+        change = (acceleration + seen * math.sin(position + phase) * rate * rate) / slope
+    return position, rate, change
+
+
+@kernel
 def actual_motor_current(reading, motor_position, link_position, motor_velocity, load, time, p):
     """Return the motor current [A] of a reading, less offset and discrepancy."""
     current = reading - p.current_offset

@@ -192,7 +192,7 @@ def _transmission(p, given, begin, end, moving, inner):
     rigid = p.Jl - laws.flexible_inertia(p)
     z, dahl, w, theta_w = moving.bristle, moving.dahl, moving.wave_generator_velocity, moving.wave_generator_position
     m1, vm1, l1, vl1, al1 = (
-        moving.motor_position, value_of(moving.motor_velocity), moving.link_position, moving.link_velocity,
+        moving.motor_position, moving.motor_velocity, moving.link_position, moving.link_velocity,
         moving.link_acceleration,
     )  # fmt: skip
     phi, phi_rate, stiffness = moving.flexible_position, moving.flexible_velocity, moving.stiffness
@@ -202,11 +202,11 @@ def _transmission(p, given, begin, end, moving, inner):
         m0, vm0, l0, vl0, al0 = m1, vm1, l1, vl1, al1
         i = max(step, 0)
         # Rotor and link as they moved: readings without the encoders' own errors, the link's earlier by its delay.
-        way, vm1, am1 = 0.0, rotor[i, 1], rotor[i, 2]
+        way, v, a = 0.0, rotor[i, 1], rotor[i, 2]
         if step < 0:
             ago = step * h
-            way, vm1, am1 = ago * (v_before + 0.5 * ago * a_before), v_before + ago * a_before, a_before
-        m1 = dynamics.actual_motor_position(rotor[i, 0] + way, p)
+            way, v, a = ago * (v_before + 0.5 * ago * a_before), v_before + ago * a_before, a_before
+        m1, vm1, am1 = dynamics.actual_motor_motion(rotor[i, 0] + way, v, a, p, passband)
         if measured:
             reading, vl1, al1 = _between(link, i, shift, h)
             if step < 0:  # as wound up as in the first step

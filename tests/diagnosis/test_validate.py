@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import swing
+import yaml
 
+import flexspline as fs
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.validate import validate
 from flexspline.models.arm import Load
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
-from flexspline.models.joint_parts import ValidRange
+from flexspline.models.joint_parts import Effect, Estimate, ValidRange
 from flexspline.models.recording import Measurement, write_recording
 from flexspline.models.tables import read_table
 
@@ -262,3 +264,33 @@ def test_lara8_from_its_layout(shared, tmp_path, flexspline):
     one, other = (x["residual"]["motor_current"] for x in (found, extended))
     assert other["rms"] < one["rms"] and abs(other["mean"]) < 0.2 * abs(one["mean"])
     assert Path(tmp_path / "extended" / "joint3_outbound.parquet").is_file()
+
+
+def test_eccentricity_of_the_motor_encoder_is_no_acceleration(tmp_path):
+    """At 480 rad/s an eccentricity of 12 mrad is 2,700 rad/s² in the reading, which the rotor does not make."""
+    values = {"amplitude": Estimate(value=0.012, unit="rad"), "phase": Estimate(value=0.7, unit="rad")}
+    effect = Effect(name="motor_encoder_eccentricity", parameters=values)
+    eccentric = tmp_path / "eccentric.yaml"
+    load_joint("test-joint").model_copy(update={"effects": [effect]}).write(eccentric)
+    way = [(0.5, 0.0), (1.1, 1.5), (2.3, -1.5), (3.5, 1.5), (4.7, -1.5), (5.5, 0.0)]  # s, rad
+
+    def error(joint: str, known: str) -> float:
+        scenario = tmp_path / "fast.yaml"
+        scenario.write_text(
+            yaml.safe_dump(
+                {
+                    "name": "fast", "joint": joint, "known_joint": "test-joint", "duration": 6.0, "filters": ["model"],
+                    "mounting": "no_load", "description": "", "trajectory": [{"time": t, "position": x} for t, x in way],
+                }
+            ),
+            encoding="utf-8",
+        )  # fmt: skip
+        recording = fs.simulate(scenario).as_recording()
+        simulated = validate(Measurement("fast", tmp_path, (recording,)), load_joint(known)).recordings[0].simulated
+        return float(np.sqrt(np.nanmean((recording["motor_current"] - simulated["motor_current"]) ** 2)))
+
+    ideal, unknown, known = (
+        error(*one) for one in (("test-joint", "test-joint"), (str(eccentric), "test-joint"), (str(eccentric),) * 2)
+    )
+    print(f"current error [A]: {ideal:.4f} without eccentricity, {unknown:.4f} if it is unknown, {known:.4f} if known")
+    assert unknown > 20 * ideal and known < 2 * ideal  # the smoother at 76 Hz is known to a few per cent
