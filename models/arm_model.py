@@ -12,7 +12,7 @@ import numpy as np
 
 from .arm import ArmPayload
 from .errors import InputError, nearest, read_text
-from .mjcf import check_mjcf
+from .mjcf import check_mjcf, xml_root
 from .parameters import GRAVITY
 
 _GRAVITY_SLACK = 0.02
@@ -27,15 +27,16 @@ def read(path: Path) -> mujoco.MjModel:
       InputError: a file that cannot be read, or whose gravity is another; one line.
     """
     text = read_text(path, "an MJCF or URDF file")
-    try:
-        if _COMMENTS.sub("", text).lstrip().startswith("<robot"):
-            return compiled(mujoco.MjSpec.from_string(_without_looks(path, text)), path)
+    urdf = _COMMENTS.sub("", text).lstrip().startswith("<robot")
+    if urdf:
+        text = _without_looks(path, text)
+    else:
         check_mjcf(path)
-        return compiled(mujoco.MjSpec.from_file(str(path)), path)
-    except InputError:
-        raise
+    try:
+        spec = mujoco.MjSpec.from_string(text) if urdf else mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise InputError(f"{path}: not a readable MJCF or URDF: {' '.join(str(error).split())}") from error
+    return compiled(spec, path)
 
 
 def compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
@@ -57,12 +58,7 @@ def compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
 
 
 def _without_looks(path: Path, text: str) -> str:
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError(f"{path}: expected a URDF file without document type declarations")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: not a readable URDF: {error}") from error
+    root = xml_root(path, text, "a URDF")
     for link in root.iter("link"):
         for look in [one for one in link if one.tag in ("visual", "collision")]:
             link.remove(look)

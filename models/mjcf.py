@@ -82,18 +82,26 @@ def mjcf_files(path: Path) -> list[Path]:
     return found
 
 
+def xml_root(path: Path, text: str, kind: str) -> ElementTree.Element:
+    """Return the root element of a file's text, which must not declare entities; `kind`: with its article, for messages.
+
+    Raises:
+      InputError: a document type declaration, or no XML; one line.
+    """
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError(f"{path}: expected {kind} file without document type declarations")
+    try:
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not a readable {kind.partition(' ')[2]}: {error}") from error
+
+
 def _check(path: Path, folder: Path, depth: int) -> None:
     if not path.is_file():
         raise InputError(f"{path}: expected an MJCF file, no such file")
     if path.stat().st_size > _LARGEST:
         raise InputError(f"{path}: expected an MJCF file of at most {_LARGEST} bytes, got {path.stat().st_size}")
-    text = read_text(path, "an MJCF file")
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError(f"{path}: expected an MJCF file without document type declarations")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: not a readable MJCF: {error}") from error
+    root = xml_root(path, read_text(path, "an MJCF file"), "an MJCF")
     for element in root.iter():
         if element.tag in ("plugin", "extension"):
             raise InputError(f"{path}: {element.tag}: expected a model without plugins")
