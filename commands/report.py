@@ -150,7 +150,7 @@ def _sweep(folder: Path) -> str:
     study = parse(note["study"], Study, str(folder / "study.json"))
     found = read_csv(folder / "summary.csv", study)
     worst = sorted((folder / "worst").glob("*.yaml"))
-    values = read_values(folder, study.metrics[0])
+    values = read_values(folder, study)
     return sweep_html(study, found, note["versions"], note["digest"], folder, _study_of(note, folder), worst, values)
 
 

@@ -27,6 +27,7 @@ from ...models.files import check_format, read_json, write_into_place
 from ...models.output import MANIFEST
 from ...models.tables import reading_parquet
 from .design import Design
+from .study import Study
 
 try:
     import fcntl
@@ -206,20 +207,25 @@ def _is_whole(path: Path) -> bool:
     return True
 
 
-def read_values(folder: Path, metric: str) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Return a metric of all rows of a sweep's folder, with their seeds: scenario → filter → values and seeds, shape (n,) each,
-    ascending, without failed runs.
+def read_values(folder: Path, study: Study) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Return the first metric of all rows of a sweep's folder, with their seeds: scenario → filter → values and seeds,
+    shape (n,) each, ascending, without failed runs.
 
     Raises:
-      InputError: a file with other content.
+      InputError: a file with other content, or with filters that the study does not have.
     """
+    metric = study.metrics[0]
+    columns = pa.schema([("seed", pa.int64()), ("filter", pa.string()), (metric, pa.float64())])
     found: dict[str, dict[str, list[pa.Table]]] = {}
     for path in sorted(folder.glob("rows/scenario=*/cell=*/runs-*.parquet")):
         with reading_parquet(path), pq.ParquetFile(path) as file:
-            table = file.read(columns=["seed", "filter", metric]).drop_null()
-            scenario = found.setdefault(path.parent.parent.name.partition("=")[2], {})
-            for name in pc.unique(table["filter"]).to_pylist():
-                scenario.setdefault(name, []).append(table.filter(pc.equal(table["filter"], name)))
+            table = file.read(columns=columns.names).select(columns.names).cast(columns).drop_null()
+            names = pc.unique(table["filter"]).to_pylist()
+        if foreign := set(names) - set(study.names):
+            raise InputError(f"{path}: filter: expected one of {', '.join(study.names)}, got {min(foreign)!r}")
+        scenario = found.setdefault(path.parent.parent.name.partition("=")[2], {})
+        for name in names:
+            scenario.setdefault(name, []).append(table.filter(pc.equal(table["filter"], name)))
     sorted_ = {s: {n: pa.concat_tables(t).sort_by(metric) for n, t in of.items()} for s, of in found.items()}
     return {s: {n: (t[metric].to_numpy(), t["seed"].to_numpy()) for n, t in of.items()} for s, of in sorted_.items()}
 

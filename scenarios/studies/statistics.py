@@ -144,6 +144,8 @@ def read_csv(path: Path, study: Study) -> list[Aggregate]:
         raise InputError(f"{path}: expected the summary of a sweep of {study.name}, got something else") from error
     if not found:
         raise InputError(f"{path}: expected a summary with rows, got none; the sweep has not begun")
+    if foreign := {s.filter for s in found} - set(study.names):
+        raise InputError(f"{path}: filter: expected one of {', '.join(study.names)}, got {min(foreign)!r}")
     return found
 
 

@@ -24,7 +24,7 @@ from flexspline.models.tables import read_table, write_table
 from flexspline.scenarios.evaluation import contact
 from flexspline.scenarios.run import Run
 from flexspline.scenarios.run_folder import save_run
-from flexspline.scenarios.studies.dataset import read_values
+from flexspline.scenarios.studies.dataset import read_note, read_values
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
 from flexspline.views import contact_views
@@ -446,7 +446,8 @@ def test_a_study_shows_distributions_and_the_worst_seeds(tmp_path):
 def test_values_of_a_sweep_are_those_of_its_rows(tmp_path):
     folder = Path(__file__).parents[1] / "frozen" / "sweep"
     rows = pa.concat_tables([pq.read_table(p, partitioning=None) for p in sorted(folder.glob("rows/*/*/*.parquet"))])
-    found = read_values(folder, "rms")
+    study = Study.model_validate(read_note(folder / "study.json")["study"])
+    found = read_values(folder, study)
     assert list(found) == ["short"] and set(found["short"]) == set(rows["filter"].to_pylist())
     for name, (values, seeds) in found["short"].items():
         own = [r for r in rows.to_pylist() if r["filter"] == name]
@@ -455,7 +456,10 @@ def test_values_of_a_sweep_are_those_of_its_rows(tmp_path):
     bad.parent.mkdir(parents=True)
     bad.write_bytes(b"PAR1")
     with pytest.raises(InputError, match=r"runs-0-0\.parquet: not a readable Parquet file"):
-        read_values(tmp_path, "rms")
+        read_values(tmp_path, study)
+    pq.write_table(rows.set_column(rows.column_names.index("filter"), "filter", pa.array(["a"] * len(rows))), bad)
+    with pytest.raises(InputError, match=r"runs-0-0\.parquet: filter: expected one of EKF, got 'a'"):
+        read_values(tmp_path, study)
 
 
 def test_a_summary_is_read_back(tmp_path):
@@ -466,10 +470,14 @@ def test_a_summary_is_read_back(tmp_path):
     write_csv(found(), Of, path)
     assert list(summary_rows(read_csv(path, STUDY), Of)) == list(summary_rows(found(), Of))
     header, first, *_ = path.read_text().splitlines()
+    foreign = path.read_text().replace("RAREKF", "a")
     for other in ("a,b\n1,2\n", f"{header}\n{first.split(',')[0]}\n", f"{header}\n{first},1\n"):
         path.write_text(other)
         with pytest.raises(InputError, match="expected the summary of a sweep of levels"):
             read_csv(path, STUDY)
+    path.write_text(foreign)
+    with pytest.raises(InputError, match="filter: expected one of EKF, RAREKF, got 'a'"):
+        read_csv(path, STUDY)
 
 
 def test_a_summary_with_empty_cells_has_no_mean_there(tmp_path):
