@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from ..estimator.conditioning import as_logged, condition
 from ..models import causes
+from ..models.calibration import in_quadratures
 from ..models.joint import Joint
 from ..models.recording import Measurement
 from .answer import Diagnosis
@@ -68,7 +69,7 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         return invalid_data(joint, mistakes)
     whole = unclipped(measurement, joint, mistakes)
     measurement = most_telling(whole)
-    joint = as_logged(joint, measurement.recordings)
+    joint = in_quadratures(as_logged(joint, measurement.recordings))
     conditioned = [condition(r, joint) for r in measurement.recordings]
     problem = Problem(*segments(conditioned, joint), joint)
     pairs = zip(measurement.recordings, conditioned, strict=True)

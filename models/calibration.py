@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .joint import Joint, Slot
-from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, Mounting, Number, may_be_zero
-from .parameters import as_floats, short_way
+from .joint_parts import OPTIONAL_SYMBOLS, POSSIBLE, SYMBOLS, Mounting, Number, Order, may_be_zero
+from .parameters import N_ORDERS, as_floats, short_way
 
 CUT = 2.5
 """Largest number of standard deviations of a drawn variable."""
@@ -31,7 +31,8 @@ WITHIN = 3.0
 @dataclass(frozen=True)
 class _Laws:
     """For every slot the number's value, its own tolerance and deviation with the index of their variable, a shared
-    tolerance with the index of its variable, the least value, and its index in a record; shape (len(slots),) each."""
+    tolerance with the index of its variable, the least and largest value, and its index in a record; shape (len(slots),)
+    each."""
 
     value: np.ndarray
     tolerance: np.ndarray
@@ -40,6 +41,7 @@ class _Laws:
     shared_tolerance: np.ndarray
     shared: np.ndarray
     least: np.ndarray
+    most: np.ndarray
     place: np.ndarray
 
 
@@ -86,7 +88,8 @@ class Calibration:
             own=np.array([self._position.get(s.name, none) for s in self.slots], int),
             shared_tolerance=np.array([joint.shared_tolerances[n.shared] if n.shared else 0.0 for n in numbers]),
             shared=np.array([self._position.get(f"shared {n.shared}", none) for n in numbers], int),
-            least=np.array([_least(s) for s in self.slots]),
+            least=np.array([_limits(s)[0] for s in self.slots]),
+            most=np.array([_limits(s)[1] for s in self.slots]),
             place=np.array([s.place for s in self.slots], int),
         )  # fmt: skip
 
@@ -116,7 +119,7 @@ class Calibration:
         n, x = self._laws, np.append(x, 0.0)
         own = (self._root @ x)[n.own]
         value = n.value * factor_of(n.tolerance, own) + n.deviation * own
-        return np.maximum(value * factor_of(n.shared_tolerance, x[n.shared]), n.least)
+        return np.clip(value * factor_of(n.shared_tolerance, x[n.shared]), n.least, n.most)
 
     def value(self, slot: Slot, x: np.ndarray) -> float:
         """Return one number at `x`."""
@@ -196,12 +199,39 @@ def factor_of(tolerance: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.where(tolerance > NARROW, (1 + tolerance) ** x, normal)
 
 
-def _least(slot: Slot) -> float:
-    """Return the least value of a number: no symbol and no scale of the link is negative, however wide its deviation."""
-    scale = slot.field in ("Jl", "Mg")
-    if slot.field not in SYMBOLS | OPTIONAL_SYMBOLS and not scale:
-        return -np.inf
-    return 0.0 if not scale and may_be_zero(slot.name) else _LEAST_SHARE * slot.number.value
+def _limits(slot: Slot) -> tuple[float, float]:
+    """Return the least and largest value of a number: none is impossible, however wide its deviation."""
+    if slot.field in ("Jl", "Mg"):
+        return _LEAST_SHARE * slot.number.value, np.inf
+    if slot.field not in SYMBOLS | OPTIONAL_SYMBOLS:
+        return -np.inf, np.inf
+    least, most = POSSIBLE.get(slot.name, (0.0, np.inf))
+    return (0.0 if may_be_zero(slot.name) else max(least, _LEAST_SHARE * slot.number.value)), most
+
+
+UNKNOWN_PHASE = 1.5
+"""Standard deviation of a phase [rad] from which it is unknown (half a turn either way, uniform, has 1.8)."""
+
+
+def in_quadratures(joint: Joint) -> Joint:
+    """Return the joint with two quadratures, a quarter of a period apart, for each order of the kinematic error whose phase is
+    unknown.
+
+    Any phase is then as likely as another, and zero amplitude is likely. An amplitude with a phase as two variables has
+    its likelihood's modes apart from each other, and no amplitude near zero.
+    """
+    found: list[Order] = []
+    for order in joint.kinematic_error:
+        amplitude, phase = order.amplitude, order.phase
+        if phase.std is not None or phase.deviation < UNKNOWN_PHASE:
+            found.append(order)
+            continue
+        spread = np.sqrt(0.5 * ((1 + amplitude.tolerance**2) * amplitude.value**2 + amplitude.deviation**2))
+        size = {"value": 0.0, "deviation": float(spread), "tolerance": 0.0}
+        for turn in (0.0, 0.5 * np.pi):
+            at = phase.model_copy(update={"value": phase.value + turn, "deviation": 0.0})
+            found.append(order.model_copy(update={"amplitude": amplitude.model_copy(update=size), "phase": at}))
+    return joint if len(found) > N_ORDERS else joint.model_copy(update={"kinematic_error": found})
 
 
 def slots(joint: Joint) -> list[Slot]:

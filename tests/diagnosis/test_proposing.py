@@ -272,6 +272,22 @@ LAYOUTS: dict[str, tuple[dict[str, np.ndarray], dict[str, dict]]] = {
             "motor_current": {"column": "i", "unit": "A"},
         },
     ),
+    "a servo's duty": (
+        {
+            "timestamp": T,
+            "position": Q,
+            "speed": DQ,
+            "load": np.round(300 * TAU / np.abs(TAU).max()),
+            "goal_position": Q,
+            "torque_enable": np.ones(N, bool),
+        },
+        {
+            "time": {"column": "timestamp", "unit": "s"},
+            "link_position": {"column": "position", "unit": "rad"},
+            "motor_current": {"column": "load", "unit": "1", "scale": 0.001},
+            "position_command": {"column": "goal_position", "unit": "rad"},
+        },
+    ),
     "dates": (
         {
             "datetime": np.datetime_as_string(

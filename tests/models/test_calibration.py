@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from flexspline.models import causes
-from flexspline.models.calibration import CUT, Calibration
+from flexspline.models.calibration import CUT, Calibration, in_quadratures
 from flexspline.models.joint import as_joint, known_joints, load_joint
-from flexspline.models.joint_parts import Uncertainty
+from flexspline.models.joint_parts import Uncertainty, value_fault
 from flexspline.models.parameters import as_floats
 
 
@@ -147,6 +147,19 @@ def test_no_number_becomes_negative_however_wide_its_deviation():
         assert all(record[name] >= 0 for name in joint.numbers if name in record.dtype.names)
 
 
+def test_no_number_becomes_impossible_however_wide_its_tolerance():
+    """A joint whose rotor is as light as possible: what a diagnosis writes is a valid joint, too."""
+    data = load_joint("test-joint").model_dump()
+    for symbol, value in (("Jw", 1.1e-9), ("Kt", 90.0)):
+        data["numbers"][symbol].update(value=value, tolerance=1.0)
+    calibration = Calibration(as_joint(data, Path("light.yaml")))
+    for side in (-2.6, 2.6):
+        for slot in calibration.slots:
+            if slot.name in data["numbers"]:
+                fault = value_fault(slot.name, calibration.value(slot, np.full(calibration.size, side)))
+                assert fault is None
+
+
 def test_no_scale_of_the_link_becomes_negative_however_wide_its_deviation():
     data = load_joint("test-joint").model_dump()
     for number in data["link_tolerances"].values():
@@ -167,6 +180,22 @@ def test_an_order_of_unknown_phase_has_two_quadratures():
     p = calibration.record(x)[0]
     whole = p["amplitude"] * np.exp(1j * p["phase"]) * (np.abs(p["order"] - 200 / 101) < 1e-5)
     assert np.sum(whole) == pytest.approx(1e-4 * (0.3 - 0.4j), abs=3e-6)
+
+
+def test_any_phase_is_as_likely_where_it_is_unknown_and_none_may_be_there(rng):
+    """The mean square amplitude is that of the description."""
+    joint = load_joint("csg-25-100-tbm2g")
+    calibration = Calibration(in_quadratures(joint))
+    assert not calibration.record(np.zeros(calibration.size))["amplitude"].any()
+    draws = np.array([calibration.record(calibration.draw(rng))[0] for _ in range(2000)])
+    for order in joint.kinematic_error:
+        of = np.isclose(draws["order"][0], order.order)
+        whole = np.sum((draws["amplitude"] * np.exp(1j * draws["phase"]))[:, of], axis=1)
+        expected = order.amplitude.value**2 * (1 + order.amplitude.tolerance**2)
+        assert np.mean(np.abs(whole) ** 2) == pytest.approx(expected, rel=0.15)  # draws are cut
+        assert abs(np.mean(np.exp(1j * np.angle(whole)))) < 0.1
+    known = load_joint("test-joint")
+    assert in_quadratures(known).kinematic_error == known.kinematic_error
 
 
 @pytest.mark.parametrize("phase", [0.3, 3.0, 3.5, 4.0, -4.0])
