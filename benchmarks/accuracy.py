@@ -10,24 +10,21 @@ from flexspline.scenarios.evaluation.intervals import Interval
 from . import plots
 from .pages import ROOT
 
-RATE = re.compile(r"^\| (?P<what>[^|]+) \| [^|]* \| (?P<right>\d+) of (?P<of>\d+) \| (?P<low>\d+)–(?P<high>\d+) % \|$")
+RATE = re.compile(r"(\d+) of (\d+) \((\d+)–(\d+) %\)")
 
 
 def rates(section: str) -> list[plots.Point]:
-    """Read the rates of a section's table in %; a row that begins with … belongs to the row above."""
+    """Read the rates of a section's table of draws in %, by row and column."""
     points: list[plots.Point] = []
-    above = ""
-    for line in section.splitlines():
-        found = RATE.match(line)
-        if found is None:
-            continue
-        what = found["what"].strip()
-        if what.startswith("…"):
-            what = f"{above}: {what[1:].strip()}"
-        else:
-            above = what.partition(":")[0]
-        share = 100 * int(found["right"]) / int(found["of"])
-        points.append((what, "", Interval(share, float(found["low"]), float(found["high"]), int(found["of"]))))
+    for table in (block for block in section.split("\n\n") if block.startswith("| draws |")):
+        head, _, *rows = ([cell.strip() for cell in line.strip("| ").split("|")] for line in table.splitlines())
+        for row in rows:
+            what, _, result = row[0].rpartition(": ")
+            for column, cell in zip(head[2:], row[2:], strict=True):
+                if found := RATE.fullmatch(cell):
+                    right, of, low, high = map(float, found.groups())
+                    name = f"{what}: {result if column == 'result' else column}"
+                    points.append((name, "", Interval(100 * right / of, low, high, int(of))))
     return points
 
 
