@@ -8,12 +8,13 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
+import itertools
 import os
 import platform
 import sys
 from importlib import metadata
 
-NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views", "derivatives", "elementary")
+NAMES = ("closed_loop", "updates", "sweep", "commands")
 NAMED_ONLY = (
     "convergence",
     "estimators",
@@ -31,38 +32,32 @@ NAMED_ONLY = (
     "arms",
     "real_logs",
     "accuracy",
+    "reliability",
 )
 
 
 def main() -> None:
     """Run and print."""
-    words = sys.argv[1:]
-    one = bool(words) and not words[0].startswith("-") and not {*words[1:]} <= {*NAMES, *NAMED_ONLY}
-    options = words[1:] if one else []
+    known = f"any of {', '.join(NAMES + NAMED_ONLY)}; the first {len(NAMES)} by default"
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "names",
-        nargs="*",
-        metavar="name",
-        help=f"any of {', '.join(NAMES + NAMED_ONLY)}; the first {len(NAMES)} by default",
-    )
-    arguments = parser.parse_args(words[:1] if one else words)
-    unknown = [name for name in arguments.names if name not in NAMES + NAMED_ONLY]
-    if unknown:
-        parser.error(f"unknown benchmark {unknown[0]!r}: expected any of {', '.join(NAMES + NAMED_ONLY)}")
+    parser.add_argument("names", nargs="*", metavar="name", help=known)
+    names = list(itertools.takewhile({*NAMES, *NAMED_ONLY}.__contains__, sys.argv[1:]))
+    options = sys.argv[1 + len(names) :]
+    if not names and (unknown := parser.parse_args(options).names):
+        parser.error(f"unknown benchmark {unknown[0]!r}: expected {known}")
     if options:
-        run = importlib.import_module(f"benchmarks.{words[0]}").main
-        if not inspect.signature(run).parameters:
-            parser.error(f"benchmark {words[0]!r} has no options, got {' '.join(options)}")
+        run = importlib.import_module(f"benchmarks.{names[-1]}").main
+        if len(names) > 1 or not inspect.signature(run).parameters:
+            parser.error(f"{' '.join(names)}: expected no options, got {' '.join(options)}")
         run(options)
         return
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("mujoco", "numba", "numpy"))
     load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     print(f"{platform.machine()}, {os.cpu_count()} cores{load}; Python {platform.python_version()}, {versions}")
     print("medians after a warm-up, with lowest and highest\n")
-    for name in arguments.names or NAMES:
+    for name in names or NAMES:
         importlib.import_module(f"benchmarks.{name}").main()
         print()
 

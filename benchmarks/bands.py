@@ -107,7 +107,7 @@ def figure(rows: Sequence[Row], path: Path) -> None:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Compute the draws that are not kept yet, keep them, and write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.bands", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks bands", description=__doc__)
     parser.add_argument(
         "--draws", type=int, default=30, help="joints with imperfections; 0 writes the table of what is kept"
     )
@@ -127,9 +127,3 @@ def main(arguments: Sequence[str] = ()) -> None:
     fill(asked.page, {"bands": table(rows), "bands about": about(rows)})
     figure(rows, asked.page.parent / "figures" / "bands.png")
     print(table(rows))
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

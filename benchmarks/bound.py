@@ -38,7 +38,7 @@ def table(found: Sequence[Limits]) -> str:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Compute bounds and errors, and write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.bound", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks bound", description=__doc__)
     parser.add_argument("--seeds", type=int, default=30, help="draws, seeds 101 and on")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
     asked = parser.parse_args(arguments)
@@ -49,9 +49,3 @@ def main(arguments: Sequence[str] = ()) -> None:
         found.append(assess(scenario, folder, range(101, 101 + asked.seeds), estimators, None, 1.0))
         print(f"{name}: {found[-1].bound_rms:.4f} and {found[-1].tolerance_bound_rms:.4f} N·m", flush=True)
     fill(asked.page, {"bound": table(found)})
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

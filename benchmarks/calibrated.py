@@ -252,7 +252,7 @@ def write(path: Path, rows: Sequence[Row]) -> None:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Compute the draws that are not kept yet, keep them, and write the tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibrated", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks calibrated", description=__doc__)
     parser.add_argument(
         "--draws",
         type=int,
@@ -280,9 +280,3 @@ def main(arguments: Sequence[str] = ()) -> None:
     fill(asked.page, tables(results))
     figure(results, asked.page.parent / "figures" / "calibrated.png")
     print(kind_table(results, asked.real))
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

@@ -308,9 +308,3 @@ def measured(pool: ThreadPoolExecutor, seeds: Sequence[int], kept: Path | None, 
         found += [x for several in pool.map(one, seeds) for x in several]
         print(f"{time.perf_counter() - began:7.0f} s  {counts or ''} {scenario}", flush=True)
     return Map(found)
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

@@ -76,7 +76,3 @@ def main() -> None:
         if core is not None:
             line += f" (target ≤ {core:g} s of a core: {verdict(timing.core <= core)})"
         print(line)
-
-
-if __name__ == "__main__":
-    main()

@@ -44,7 +44,7 @@ def cell(point: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Run everything and write tables, curves and figure."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.contact", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks contact", description=__doc__)
     parser.add_argument("--hours", type=float, default=1.0, help="without contact, in every case")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "contact.md")
@@ -75,9 +75,3 @@ def main(arguments: Sequence[str] = ()) -> None:
     fill(asked.page, {"contact about": about, "contact": table})
     write_rows(asked.page.parent / "contact.csv", rows)
     save(contact_views.contact_figure(drawn, "collision"), asked.page.parent / "figures" / "contact.png")
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

@@ -318,9 +318,3 @@ def _rows(
 
     with ThreadPoolExecutor(threads) as pool:
         return [row for several in pool.map(one, seeds) for row in several]
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

@@ -189,7 +189,3 @@ def main(arguments: Sequence[str] = ()) -> None:
     fill(asked.readme, {"independent": table(rows)})
     figure(rows, asked.page.parent / "figures" / "independent.png")
     print(table(rows))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -139,7 +139,7 @@ def write_csv(results: Results, path: Path) -> None:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Compute the draws that are not kept yet, keep them, and write the tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.readings", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks readings", description=__doc__)
     parser.add_argument("--draws", type=int, default=30, help="seeds 201 and on")
     parser.add_argument("--kept", type=Path, default=Path("runs/readings.csv"))
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "paper.md")
@@ -162,9 +162,3 @@ def main(arguments: Sequence[str] = ()) -> None:
     results = Results([row for row in rows if row.seed in seeds])
     fill(asked.page, {"readings": overall_table(results)})
     write_csv(results, asked.page.with_name("readings.csv"))
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

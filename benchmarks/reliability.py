@@ -1,6 +1,6 @@
 """Reliability in numbers: random inputs, plausible wrong inputs, killed processes, full disks, memory.
 
-`python -m benchmarks.reliability` runs as much of every part as `--minutes` (10) allow; names of parts (fuzz, nonsense,
+`python -m benchmarks reliability` runs as much of every part as `--minutes` (10) allow; names of parts (fuzz, nonsense,
 exchanges, kills, disk, memory) select them. `--inputs`, `--wrong`, `--kills` and `--seed` limit them. Exit code 1 after a
 failure. The figures are in docs/reliability.md.
 """
@@ -357,9 +357,9 @@ def _folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] = ()) -> None:
     """Run what is asked and print its figures."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks reliability", description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="part", help=f"any of {', '.join(PARTS)}; all by default")
     parser.add_argument("--minutes", type=float, default=10.0, help="that all of it may take")
     parser.add_argument("--inputs", type=int, default=12_000, help="made at random, at most")
@@ -372,7 +372,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--hours", type=float, default=0.1, help="of recordings and runs whose memory is measured")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="that use inputs at a time")
-    asked = parser.parse_args()
+    asked = parser.parse_args(arguments)
     parts = asked.parts or list(PARTS)
     whole = sum(PARTS[part] for part in parts)
 
@@ -425,7 +425,3 @@ def main() -> None:
         for name, size, seconds in memory(asked.hours, until=until("memory")):
             print(f"memory: {name}: {size:.0f} MB, {seconds:.0f} s")
     sys.exit(failed)
-
-
-if __name__ == "__main__":
-    main()

@@ -158,7 +158,7 @@ def write_page(name: str, found: Sequence[Aggregate], design: Design, page: Path
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Run the studies and write the page's tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks studies", description=__doc__)
     parser.add_argument("names", nargs="*", default=list(STUDIES), help="of the studies; all by default")
     parser.add_argument("--seeds", type=int, help="how many draws, instead of the study's")
     parser.add_argument("--whole", action="store_true", help="all points of studies that run in part otherwise")
@@ -183,9 +183,3 @@ def main(arguments: Sequence[str] = ()) -> None:
         sweep(fewer, dataset, asked.jobs, asked.chunk)
         write(name, dataset, design, whole, asked.page)
         print(name, flush=True)
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

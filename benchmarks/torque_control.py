@@ -103,7 +103,7 @@ def write(path: Path, rows: Sequence[Row]) -> None:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Compute the draws that are not kept yet, and write the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.torque_control", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks torque_control", description=__doc__)
     parser.add_argument("--draws", type=int, default=30, help="joints; 0 writes the table of what is kept")
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "torque_control.csv")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "contact.md")
@@ -122,9 +122,3 @@ def main(arguments: Sequence[str] = ()) -> None:
     )
     fill(asked.page, {"control about": about, "control": table(rows)})
     figure(rows, asked.page.parent / "figures" / "torque_control.png")
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

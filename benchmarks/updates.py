@@ -46,7 +46,3 @@ def main() -> None:
     print(
         f"  {'filterpy KalmanFilter':26s} {1e6 * measure(other, 3).core / _FEW:8.3f} µs, of a measurement that is given"
     )
-
-
-if __name__ == "__main__":
-    main()

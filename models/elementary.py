@@ -1,6 +1,6 @@
 """Elementary functions faster than the C library's, exact to the last digit or two.
 
-A replay spends a third of its time in sines and exponentials (`python -m benchmarks elementary`).
+A replay spends a third of its time in sines and exponentials.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A part of `python -m benchmarks.reliability`: inputs made at random are used, or refused in one line."""
+"""A part of `python -m benchmarks reliability`: inputs made at random are used, or refused in one line."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_programs_memory_is_its_own():
 @pytest.mark.slow
 @pytest.mark.long
 def test_an_hour_at_1_khz_fits_into_600_mb():
-    """`check` and `estimate` with three filters (`python -m benchmarks.reliability memory`)."""
+    """`check` and `estimate` with three filters (`python -m benchmarks reliability memory`)."""
     for name, megabytes, _ in memory(1.0, ("check", "estimate")):
         assert megabytes < 600, name
 
@@ -116,7 +116,7 @@ def test_a_diagnosis_is_the_same_for_any_number_of_threads(shared, tmp_path, nam
 def test_the_benchmark_ends_by_the_clock():
     """It counts what was answered until then. Starting two interpreters takes seconds by itself."""
     begin = time.monotonic()
-    words = [sys.executable, "-m", "benchmarks.reliability", "fuzz", "nonsense", "--minutes", "0.5"]
+    words = [sys.executable, "-m", "benchmarks", "reliability", "fuzz", "nonsense", "--minutes", "0.5"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert time.monotonic() - begin < 45
     assert done.stdout.count("answered in time") == 2, done.stderr
