@@ -16,14 +16,17 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.optimize import least_squares
 
-from benchmarks.balance import extended, fit_current, fit_eccentricity
 from flexspline.diagnosis.answer import Diagnosis
 from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.diagnosis.diagnose import diagnose
+from flexspline.estimator import smoothed
+from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.offline import estimate_recording
-from flexspline.models import laws
+from flexspline.models import causes, laws
 from flexspline.models.joint import Joint, load_joint, shipped
+from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.motion import smooth
 from flexspline.models.recording import Measurement, Recording
 from flexspline.views import style
@@ -38,11 +41,116 @@ DESCRIPTION = (
 )
 
 
+MOVING = 0.05
+"""Output velocity [rad/s] above which samples count: friction at rest is anything up to its level."""
+SENSOR_NOISE, SENSOR_MEMORY = 1.05, 0.1
+"""Noise of the external torque [N·m rms], the flange sensor's vibration; its correlation time [s]: neighbouring samples do
+not count twice."""
+
+
+def fit_current(
+    recording: Recording, joint: Joint, names: tuple[str, ...], use: np.ndarray | None = None
+) -> list[Effect]:
+    """Causes fitted to the balance of motor current and measured external torque,
+
+        torque from current minus friction and rotor  =  own gravity and inertia − external torque.
+
+    Each parameter has a Gaussian prior about its absence with the largest ordinary size as deviation.
+
+    Args:
+      joint: without those causes.
+      use: which samples may be used, shape (n,), bool; all by default. Samples at rest are left out.
+    """
+    bare = joint.record(recording.link)
+    parameters = [(name, q) for name in names for q in causes.get(name).parameters]
+    present = np.array([causes.get(name).present(bare[0])[q.name] for name, q in parameters])
+    spread = np.array([
+        max(abs(x - q.neutral) for ends in q.ordinary for x in ends) * (float(bare[0][q.relative]) if q.relative else 1.0)
+        for _, q in parameters
+    ])  # fmt: skip
+    motion, known = _motion(recording, joint, bare)
+    external = np.interp(motion.time, recording.time, recording["external_torque"])
+    chosen = _moving(recording, motion, use)
+    load = smoothed.torque_from_current(motion, known)
+    # One number every grid step: of those within the vibration's memory, together one is news.
+    sigma = SENSOR_NOISE * np.sqrt(SENSOR_MEMORY / smoothed.STEP)
+
+    def residual(u: np.ndarray) -> np.ndarray:
+        record = bare.copy()
+        for name in names:
+            own = {
+                q.name: a + s * x for (n, q), a, s, x in zip(parameters, present, spread, u, strict=True) if n == name
+            }
+            causes.get(name).apply(record[0], own)
+        own_joint = replace(known, record=record)
+        torque = smoothed.torque_from_current(motion, own_joint) - own_joint.p["bl"] * motion.link_velocity
+        return np.r_[(torque - smoothed.own_torque(motion, own_joint, load) + external)[chosen] / sigma, u]
+
+    found = least_squares(residual, np.zeros(len(parameters)), diff_step=1e-3)
+    std = spread * np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    values = {
+        (n, q.name): (a, q.unit, s) for (n, q), a, s in zip(parameters, present + spread * found.x, std, strict=True)
+    }
+    return [_effect(name, {key: v for (n, key), v in values.items() if n == name}) for name in names]
+
+
+def fit_eccentricity(recording: Recording, joint: Joint, use: np.ndarray | None = None) -> Effect:
+    """`link_encoder_eccentricity`, fitted to the torsion that the external torque asks for.
+
+    A once-per-revolution error and a stiffness that is off look alike in a sweep, as the load goes with the sine of the
+    angle: the standard deviation of the amplitude is what the stiffness' tolerance makes of it.
+    """
+    record = joint.record(recording.link)
+    motion, known = _motion(recording, joint, record)
+    load = smoothed.torque_from_current(motion, known)
+    external = np.interp(motion.time, recording.time, recording["external_torque"])
+    torque = smoothed.own_torque(motion, known, load) - external
+    chosen, torsion = _moving(recording, motion, use), smoothed.torsion_of(motion, known, load)
+    # reading = θl + A (sin(θl + φ) − sin φ): torsion is too small by that. Zero and delay (v) are free.
+    q, v, prior = motion.link_position, motion.link_velocity, np.diag([1.5e-3, 1.5e-3, 5e-3, 0.3e-3])
+    noise = 1.5e-4 * np.sqrt(SENSOR_MEMORY / smoothed.STEP)
+    A = np.stack([np.sin(q), np.cos(q), np.ones(len(q)), v], axis=1)[chosen] / noise
+
+    def amplitude(scale: float) -> complex:
+        softer = known.with_numbers(**{name: scale * known.p[name] for name in ("K1", "K2", "K3")})
+        b = np.r_[(smoothed.wound(torque, softer) - torsion)[chosen] / noise, np.zeros(4)]
+        return complex(*np.linalg.lstsq(np.vstack([A, np.linalg.inv(prior)]), b, rcond=None)[0][:2])
+
+    number = joint.numbers["K1"]
+    tolerance = np.hypot(number.tolerance, joint.shared_tolerances.get(number.shared or "", 0.0))
+    z, std = amplitude(1.0), 0.5 * abs(amplitude(1 + tolerance) - amplitude(1 - tolerance))
+    values = {"amplitude": (abs(z), "rad", std), "phase": (float(np.angle(z)), "rad", std / abs(z))}
+    return _effect("link_encoder_eccentricity", values)
+
+
+def _motion(recording: Recording, joint: Joint, record: np.ndarray) -> tuple[smoothed.Motion, KnownJoint]:
+    known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
+    signals = recording.signals
+    return smoothed.smooth_motion(signals, known, smoothed.bandwidth(signals, known)), known
+
+
+def _moving(recording: Recording, motion: smoothed.Motion, use: np.ndarray | None) -> np.ndarray:
+    allowed = np.ones(len(recording.time)) if use is None else use.astype(float)
+    return (np.abs(motion.link_velocity) > MOVING) & (np.interp(motion.time, recording.time, allowed) > 0.99)
+
+
+def _effect(name: str, values: dict[str, tuple[float, str, float]]) -> Effect:
+    parameters = {
+        k: Estimate(value=float(f"{x:.4g}"), unit=u, std=float(f"{s:.2g}")) for k, (x, u, s) in values.items()
+    }
+    return Effect(name=name, parameters=parameters)
+
+
+def with_effects(joint: Joint, effects: list[Effect]) -> Joint:
+    """The joint with effects added, as it is shipped."""
+    update = {"name": "lara8-joint3-extended", "description": DESCRIPTION, "effects": [*joint.effects, *effects]}
+    return joint.model_copy(update=update)
+
+
 def extend(recording: Recording, joint: Joint, use: np.ndarray | None = None) -> Joint:
     """The joint with the three effects, fitted to the samples in `use`."""
-    effects = fit_current(recording, joint, CAUSES, use).effects
-    known = extended(joint, effects, "lara8-joint3-extended", DESCRIPTION)
-    return extended(known, (fit_eccentricity(recording, known, use),), known.name, DESCRIPTION)
+    known = with_effects(joint, fit_current(recording, joint, CAUSES, use))
+    return with_effects(known, [fit_eccentricity(recording, known, use)])
 
 
 ESTIMATORS = ("model", "EKF", "AREKF", "RAREKF", "current", "current_smoothed", "payload", "payload_smoothed")
