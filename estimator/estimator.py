@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from .sensing import LOWPASS, read_joint_torque
 from .trust import Watch
 from .tuning_parameters import TuningParameter
 
+Result = TypeVar("Result")
 _LASTS = 0.01
 """Correlation time [s] of errors of the current that are not white noise, such as its ripple."""
 TORQUES = frozenset({"torque", "variance", "external_torque"})
@@ -431,6 +433,21 @@ class CausalEstimator(Estimator):
             column["robust"] > 0 if "robust" in column else None,
             {n: v for n, v in column.items() if n not in own}, column.get("external_torque"),
         )  # fmt: skip
+
+
+def each(
+    estimators: Mapping[str, Estimator], estimate: Callable[[Estimator], Result], threads: int = 1
+) -> dict[str, Result | FilterDiverged | InputError]:
+    """Run estimators, `threads` at a time; return by name the result, or the error of one that has none."""
+
+    def one(estimator: Estimator) -> Result | FilterDiverged | InputError:
+        try:
+            return estimate(estimator)
+        except (FilterDiverged, InputError) as error:
+            return error
+
+    with ThreadPoolExecutor(max(min(threads, len(estimators)), 1), thread_name_prefix="estimate") as pool:
+        return dict(zip(estimators, pool.map(one, estimators.values()), strict=True))
 
 
 def fields_of(record: np.dtype) -> tuple[str, ...]:

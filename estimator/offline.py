@@ -23,10 +23,9 @@ from __future__ import annotations
 import math
 import os
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,7 +46,7 @@ from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .conditioning import Conditioned, condition
 from .errors import FilterDiverged
-from .estimator import Estimator, KnownJoint, interval_of
+from .estimator import Estimator, KnownJoint, each, interval_of
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
 from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
@@ -203,18 +202,20 @@ def estimate_recording(
       InputError: an unknown name.
     """
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
-
-    def blank() -> np.ndarray:
-        values = large(len(recording.time))
-        values.fill(np.nan)
-        return values
-
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
     conditioned = conditioned or condition(recording, joint)
     blind = conditioned.recording.signals.without("joint_torque", "external_torque")
     if recording.load is not None:
         blind = blind.with_columns(arm_torque=known.record[0]["arm_scale"] * recording.torque_of_arm)
-    found, deviation = ({what: defaultdict[str, np.ndarray](blank) for what in _QUANTITIES} for _ in range(2))
+    n = len(recording.time)
+    torque, external, spread, external_spread = (defaultdict[str, np.ndarray](partial(_blank, n)) for _ in range(4))
+
+    def put(columns: dict[str, np.ndarray], name: str, segment: slice, values: np.ndarray) -> None:
+        if segment == slice(0, n):  # no copy of a whole hour
+            columns[name] = values
+        else:
+            columns[name][segment] = values
+
     left_out: dict[str, str] = {}
     untrusted: dict[str, str] = {}
     notes = []
@@ -225,35 +226,34 @@ def estimate_recording(
         ready = prepare(signals, known)
         notes.append(ready.note | {"start": float(recording.stamps[segment.start])})
         chosen = {name: e for name, e in estimators.items() if name not in left_out}
-        beliefs: dict[str, np.ndarray] = {}
-        estimates: dict[_Key, np.ndarray] = {}
-
-        def take(
-            what: str,
-            name: str,
-            values: np.ndarray,
-            segment: slice = segment,
-            estimates: dict[_Key, np.ndarray] = estimates,
-        ) -> None:
-            if bands:
-                estimates[what, name] = values
-            if what == "external_torque" and "arm_torque" in blind:
-                values = values - blind["arm_torque"][segment]
-            found[what][name][segment] = values
-
-        _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS, untrusted)
+        done, reasons = _estimate(ready, chosen, _THREADS)
+        left_out |= reasons
         if bands:
             # Bands simulate the dynamics nine times more: for costly estimators only on request.
-            banded = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
-            found_bands = _bands(signals, known, ready, banded, estimates, beliefs, joint, recording.link)
-            for (what, name), values in found_bands.items():
-                deviation[what][name][segment] = values
+            banded = {n: e for n, e in chosen.items() if n in done and (names is not None or not e.costly)}
+            for (name, outside), one in _bands(signals, known, ready, banded, done, joint, recording.link).items():
+                put(external_spread if outside else spread, name, segment, one)
+        for name in list(done):
+            found = done.pop(name)
+            put(torque, name, segment, found.torque)
+            outside = found.external - signals["arm_torque"] if "arm_torque" in signals else found.external
+            put(external, name, segment, outside)
+            if found.untrusted is not None:
+                untrusted.setdefault(name, found.untrusted)
     there = [name for name in estimators if name not in left_out]
-    torque, external = ({name: found[what][name] for name in there} for what in _QUANTITIES)
-    spread, external_spread = (dict(deviation[what]) for what in _QUANTITIES)
     return Estimates(
-        recording.name, recording.stamps, torque, external, left_out, notes, spread, external_spread, untrusted
-    )
+        recording.name, recording.stamps, {name: torque[name] for name in there},
+        {name: external[name] for name in there}, left_out, notes, dict(spread), dict(external_spread), untrusted,
+    )  # fmt: skip
+
+
+def _blank(n: int) -> np.ndarray:
+    values = large(n)
+    values.fill(np.nan)
+    return values
+
+
+_Key = tuple[str, bool]  # estimator, and whether it is its external torque instead of its joint torque
 
 
 def _bands(
@@ -261,29 +261,27 @@ def _bands(
     known: KnownJoint,
     ready: Prepared,
     banded: Mapping[str, Estimator],
-    estimates: Mapping[_Key, np.ndarray],
-    beliefs: Mapping[str, np.ndarray],
+    done: Mapping[str, _Estimate],
     joint: Joint,
     link: Mounting,
 ) -> dict[_Key, np.ndarray]:
     """Return the standard deviations of a segment's estimates, shape (n,) each."""
 
+    def torques(found: Mapping[str, _Estimate]) -> dict[_Key, np.ndarray]:
+        return {
+            (n, outside): found[n].external if outside else found[n].torque for n in found for outside in (False, True)
+        }
+
     def again(s: Signals, k: KnownJoint) -> dict[_Key, np.ndarray]:
-        other: dict[_Key, np.ndarray] = {}
-
-        def take(what: str, name: str, values: np.ndarray) -> None:
-            other[what, name] = values
-
-        _estimate(prepare(s, k), banded, {}, take)
-        return other
+        return torques(_estimate(prepare(s, k), banded)[0])
 
     reference = reference_torque(ready.signals, ready.known)
-    seen = {"torque": ready.known.as_read(reference, ready.signals), "external_torque": ready.own_torque - reference}
-    there = {(what, name): estimates[what, name] for name in banded for what in _QUANTITIES}
+    seen = {False: ready.known.as_read(reference, ready.signals), True: ready.own_torque - reference}
+    estimated = torques({name: done[name] for name in banded})
     found = {}
-    for key, change in deviations(there, signals, known, joint, link, again).items():
-        lag = disagreement(signals.time, estimates[key], seen[key[0]])
-        found[key] = np.sqrt(change**2 + lag**2 + np.sqrt(beliefs.get(key[1], 0.0)) ** 2)
+    for (name, outside), change in deviations(estimated, signals, known, joint, link, again).items():
+        lag = disagreement(signals.time, estimated[name, outside], seen[outside])
+        found[name, outside] = np.sqrt(change**2 + lag**2 + done[name].variance)
     return found
 
 
@@ -335,63 +333,45 @@ def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
     return joint.valid.beyond(*np.concatenate(motions, axis=1)) if motions else {}
 
 
-_Key = tuple[str, str]  # quantity and estimator
-_QUANTITIES = ("torque", "external_torque")
 _THREADS = min(os.cpu_count() or 1, 8)
 _LONG = 1 << 20
 """Number of samples from which memory matters: smoothers run alone, others two at a time."""
 
 
+class _Estimate(NamedTuple):
+    """An estimator's joint torque, as read, and external torque of a segment, shape (n,) each [N·m]; its own variance of
+    the joint torque, 0 if it has none; why it is not to be trusted."""
+
+    torque: np.ndarray
+    external: np.ndarray
+    variance: np.ndarray | float
+    untrusted: str | None
+
+
 def _estimate(
-    ready: Prepared,
-    estimators: Mapping[str, Estimator],
-    left_out: dict[str, str],
-    take: Callable[[str, str, np.ndarray], None],
-    beliefs: dict[str, np.ndarray] | None = None,
-    threads: int = 1,
-    untrusted: dict[str, str] | None = None,
-) -> None:
-    """Estimate a segment's joint torque and external torque.
+    ready: Prepared, estimators: Mapping[str, Estimator], threads: int = 1
+) -> tuple[dict[str, _Estimate], dict[str, str]]:
+    """Return the estimates of a segment by name, and the reason of every missing one; `threads`: estimators at a time."""
+    reasons = {name: why for name, e in estimators.items() if (why := ready.lacks(e)) is not None}
 
-    Args:
-      ready: the segment.
-      estimators: by name.
-      left_out: gets the reason of a missing estimate, by name.
-      take: called with quantity, name and values of each estimate, in any order.
-      beliefs: gets the error variances of estimators that have one.
-      threads: number of estimators at a time.
-      untrusted: gets why an estimate is not to be trusted, by name.
-    """
-    left_out |= {name: why for name, e in estimators.items() if (why := ready.lacks(e)) is not None}
-    able = {name: estimator for name, estimator in estimators.items() if name not in left_out}
-
-    def one(name: str) -> str | None:
-        try:
-            posterior = ready.ready(able[name]).torques(ready.read_by(able[name]), ready.known)
-        except (FilterDiverged, InputError) as error:
-            return str(error)
-        if beliefs is not None and posterior.variance is not None:
-            beliefs[name] = np.maximum(posterior.variance, 0.0)
-        take("torque", name, ready.known.as_read(posterior.mean, ready.signals))
-        external = posterior.external
+    def one(estimator: Estimator) -> _Estimate:
+        found = ready.ready(estimator).torques(ready.read_by(estimator), ready.known)
+        external = found.external
         if external is None:
-            external = np.subtract(ready.own_torque, posterior.mean, out=large(len(posterior.mean)))
-        if posterior.external is not None and "arm_torque" in ready.signals:
+            external = np.subtract(ready.own_torque, found.mean, out=large(len(found.mean)))
+        elif "arm_torque" in ready.signals:
             external = external + ready.signals["arm_torque"]
-        take("external_torque", name, external)
-        if posterior.untrusted is not None and untrusted is not None:
-            untrusted.setdefault(name, posterior.untrusted)
-        return None
+        variance = 0.0 if found.variance is None else np.maximum(found.variance, 0.0)
+        return _Estimate(ready.known.as_read(found.mean, ready.signals), external, variance, found.untrusted)
 
     # The longest first: compiled code does not hold the lock.
-    order = sorted(able, key=lambda name: not able[name].costly)
+    able = {n: e for n, e in sorted(estimators.items(), key=lambda item: not item[1].costly) if n not in reasons}
     long = len(ready.signals.time) > _LONG
-    alone = [name for name in order if long and not able[name].causal]
-    failed = {name: one(name) for name in alone}
-    with ThreadPoolExecutor(min(threads, 2) if long else threads) as pool:
-        others = [name for name in order if name not in alone]
-        failed |= zip(others, pool.map(one, others), strict=True)
-    left_out |= {name: why for name in able if (why := failed[name]) is not None}
+    alone = {name: e for name, e in able.items() if long and not e.causal}
+    others = {name: e for name, e in able.items() if name not in alone}
+    done = each(alone, one) | each(others, one, min(threads, 2) if long else threads)
+    reasons |= {name: str(found) for name, found in done.items() if isinstance(found, Exception)}
+    return {name: found for name, found in done.items() if not isinstance(found, Exception)}, reasons
 
 
 def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str, dict[str, Score]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..estimator.errors import FilterDiverged
-from ..estimator.estimator import Estimator, KnownJoint, Posterior
+from ..estimator.estimator import Estimator, KnownJoint, Posterior, each
 from ..models import own_sensors
 from ..models.errors import InputError, InputWarning
 from ..models.joint import Joint
@@ -254,22 +253,16 @@ def estimate(
       InputError: a missing channel. FilterDiverged: no estimator has a finite estimate; names the first filter and its time.
     """
 
-    def one(name: str) -> Posterior | FilterDiverged:
-        try:
-            return estimators[name].estimate(signals, known)
-        except FilterDiverged as error:
-            return error
-
-    with ThreadPoolExecutor(max(min(threads, len(estimators)), 1), thread_name_prefix="estimate") as pool:
-        found = dict(zip(estimators, pool.map(one, estimators), strict=True))
-    diverged = {name: error for name, error in found.items() if isinstance(error, FilterDiverged)}
-    if diverged and len(diverged) == len(found):
-        raise next(iter(diverged.values()))
-    for error in diverged.values():
+    found = each(estimators, lambda one: one.estimate(signals, known), threads)
+    diverged = [one for one in found.values() if isinstance(one, FilterDiverged)]
+    for error in found.values():
+        if isinstance(error, InputError) or (isinstance(error, FilterDiverged) and len(diverged) == len(found)):
+            raise error
+    for error in diverged:
         warnings.warn(f"{error}: it has no estimate", InputWarning, stacklevel=2)
     nothing = np.full(len(signals.time), np.nan)
     return {
-        name: Posterior(name, signals.time, nothing) if isinstance(one, FilterDiverged) else one
+        name: one if isinstance(one, Posterior) else Posterior(name, signals.time, nothing)
         for name, one in found.items()
     }
 
