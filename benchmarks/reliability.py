@@ -1,7 +1,7 @@
 """Reliability in numbers: random inputs, plausible wrong inputs, killed processes, full disks, memory.
 
 `python -m benchmarks reliability` runs as much of every part as `--minutes` (10) allow; names of parts (fuzz, nonsense,
-exchanges, kills, disk, memory) select them. `--inputs`, `--wrong`, `--kills` and `--seed` limit them. Exit code 1 after a
+kills, disk, memory) select them. `--inputs`, `--wrong`, `--kills` and `--seed` limit them. Exit code 1 after a
 failure. The figures are in docs/reliability.md.
 """
 
@@ -25,8 +25,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flexspline.models.errors import InputError
-from flexspline.models.output import MANIFEST, output_folder, recover
+from flexspline.models.output import MANIFEST, recover
 from flexspline.models.recording import write_recording
 from flexspline.models.signals import WRENCH
 
@@ -37,7 +36,7 @@ from .nonsense import nonsense
 HANG = 60.0
 """Seconds of a processor after which an input counts as frozen, compiling included."""
 _BATCH = 50
-PARTS = {"fuzz": 0.2, "nonsense": 0.45, "exchanges": 0.05, "kills": 0.15, "disk": 0.1, "memory": 0.05}
+PARTS = {"fuzz": 0.2, "nonsense": 0.45, "kills": 0.2, "disk": 0.1, "memory": 0.05}
 """Parts, and the share of the time that each may take where all are run."""
 
 
@@ -228,54 +227,6 @@ def _call(words: list[str]) -> tuple[int, str]:
     return done.returncode, done.stderr.strip()
 
 
-def exchanges(count: int, seed: int, until: float = math.inf) -> tuple[Counter[str], list[str]]:
-    """Kill processes that do nothing but replace a folder's files, over and over: the part of a command that matters here.
-
-    Every generation has other names and other content; after each kill there must be exactly one generation.
-    """
-    rng, done, wrong = random.Random(seed), Counter[str](), []
-    with _folder() as folder:
-        out = folder / "out"
-        _generation(out, 0)
-        (out / "mine.txt").write_text("a person's own")
-        for number in range(count):
-            if time.time() > until:
-                break
-            process = os.fork()
-            if process == 0:
-                with suppress(BaseException):
-                    for k in range(1_000_000):
-                        _generation(out, number * 1_000_000 + k)
-                os._exit(0)
-            time.sleep(rng.expovariate(1 / 0.02))
-            name = rng.choice(["SIGKILL", "SIGTERM"])
-            os.kill(process, getattr(signal, name))
-            os.waitpid(process, 0)
-            done[name] += 1
-            done["of these in the middle"] += any(out.glob(f"{MANIFEST}-done-*"))
-            recover(out)
-            found = content(out)
-            generations = {content.split(b"\n")[0] for content in found.values()}
-            if len(generations) != 1 or len(found) != 6:
-                wrong.append(f"kill {number}: torn: {sorted(found)}, generations {generations}")
-            if (out / "mine.txt").read_text() != "a person's own":
-                wrong.append(f"kill {number}: a person's own file is gone")
-        try:
-            _generation(out, -1)
-        except InputError as error:
-            wrong.append(f"refused to start again: {error}")
-        left = [p.name for p in out.rglob(".*") if p.name != MANIFEST]
-        wrong += [f"left {left}"] if left else []
-    return done, wrong
-
-
-def _generation(out: Path, number: int) -> None:
-    with output_folder(out, "run", whole=True) as new:
-        (new / "sub").mkdir()
-        for name in ("a", "b", "c", "sub/d", f"odd{number % 3}", f"sub/odd{number % 2}"):
-            (new / name).write_text(f"{number}\n" + "x" * 20_000)
-
-
 # --- memory -----------------------------------------------------------------------------------------------------------
 
 
@@ -400,7 +351,6 @@ def main(arguments: Sequence[str] = ()) -> None:
             print(f"  {kind:14} {silent[kind]:3} of {count:3} silent; by check {named}, by estimate {warned}")
         failed |= silent.total() > 0.05 * wrong or not answers
     for part, result in (
-        ("exchanges", lambda: exchanges(20 * asked.kills, asked.seed, until("exchanges"))),
         ("kills", lambda: kills(asked.kills, asked.chosen, asked.seed, until("kills"))),
         (
             "disk",

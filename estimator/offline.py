@@ -236,8 +236,8 @@ def estimate_recording(
         for name in list(done):
             found = done.pop(name)
             put(torque, name, segment, found.torque)
-            outside = found.external - signals["arm_torque"] if "arm_torque" in signals else found.external
-            put(external, name, segment, outside)
+            link = found.external - signals["arm_torque"] if "arm_torque" in signals else found.external
+            put(external, name, segment, link)
             if found.untrusted is not None:
                 untrusted.setdefault(name, found.untrusted)
     there = [name for name in estimators if name not in left_out]
