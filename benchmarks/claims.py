@@ -9,19 +9,21 @@ filters see the same signals. The filters of one line share the measurement Y an
 from __future__ import annotations
 
 import argparse
-import csv
+import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from benchmarks.draws import DrawnExperiment, rms
-from flexspline.estimator import recursion, registry
+from flexspline.estimator import registry
 from flexspline.estimator.compliance import measurement_variance
-from flexspline.estimator.estimator import KnownJoint
+from flexspline.estimator.errors import FilterDiverged
+from flexspline.estimator.estimator import CausalEstimator, KnownJoint
 from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.files import write_into_place
 from flexspline.scenarios.evaluation import metrics
@@ -46,37 +48,24 @@ MISMATCHES: Mapping[str, Mapping[str, float]] = {
 """What the filters know, as a factor of the true value."""
 LOADS = ((0.0, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 6.0), (6.0, 99.0))
 """Bins of the joint torque's size [N·m], in motion."""
+BINS = {f"robust_{a:g}_{b:g}": (a, b) for a, b in LOADS}
+_TITLES = [f"sweep, {a:g}–{b:g} N·m" if b < 99 else f"sweep, over {a:g} N·m" for a, b in LOADS]
 CLAIMS = (
     "no load: within 0.1 N·m", "no load: optimal", "from optimal to robust under load", "quick and quiet in pushes",
 )  # fmt: skip
 """Titles of the claims."""
 
 
-@dataclass(frozen=True)
-class Found:
-    """What one setting did in one draw: RMS error [N·m], share of robust mode, of time within 0.1 N·m, robust share by load in
-    motion and at rest, response to pushes [ms], noise over that of Y."""
-
-    scenario: str
-    mismatch: str
-    reading: str
-    V: str
-    W: str
-    seed: int
-    rms: float
-    robust: float
-    within: float
-    by_load: tuple[float, ...]
-    resting: float
-    response: float
-    noise: float
+KEY = ["calibration", "alpha", "V", "W", "scenario"]
+Setting = tuple[str, str, str, str]
+"""Calibration, α, V, W."""
 
 
-def settings(reading: str, variance: float, walk: float) -> np.ndarray:
-    """RAREKF's settings with a reading, V and W, for `recursion.run`."""
+def reading_of(reading: str, variance: float, walk: float) -> CausalEstimator:
+    """Return RAREKF with a reading, V [(N·m)²] and W [(N·m)² per step]."""
     base = registry.get("AREKF" if reading == "one" else "RAREKF")
     alpha = {} if reading == "one" else {"alpha": reading}
-    return with_values(base, {"V": variance, "P0": variance, "W": walk, **alpha}).record()  # type: ignore[attr-defined]
+    return with_values(base, {"V": variance, "P0": variance, "W": walk, **alpha})  # type: ignore[return-value]
 
 
 def mistaken(known: KnownJoint, factors: Mapping[str, float]) -> KnownJoint:
@@ -84,35 +73,33 @@ def mistaken(known: KnownJoint, factors: Mapping[str, float]) -> KnownJoint:
     return known.with_numbers(**{name: factor * known.p[name] for name, factor in factors.items()})
 
 
-def examine(scenario: str, one: DrawnExperiment, variances: Mapping[str, float] = V) -> Iterator[Found]:
-    """Every setting over a draw; V [(N·m)²] by name."""
+def examine(scenario: str, one: DrawnExperiment, variances: Mapping[str, float] = V) -> Iterator[dict[str, Any]]:
+    """What every setting did in a draw, V [(N·m)²] by name: RMS error [N·m], share of robust mode, of time within 0.1 N·m,
+    robust share by load in motion and at rest, response to pushes [ms], noise over that of Y."""
     truth, kept = one.truth, one.kept
     steady = metrics.steady(truth, CONTROL_PERIOD, kept)
     events = [(a, b) for a, b in metrics.pushes(one.external_torque, CONTROL_PERIOD) if kept[a]]
-    load = np.abs(truth)
+    load, moving = np.abs(truth), kept & one.moving
     for label, factors in MISMATCHES.items():
-        y = registry.get("model").estimate(one.signals, mistaken(one.known, factors)).mean
-        raw = metrics.noise(y, truth, CONTROL_PERIOD, steady)
-        for reading in READINGS:
-            for v, variance in variances.items():
-                for w, walk in W.items():
-                    states = np.zeros(len(y), recursion.STATE)
-                    _, status = recursion.run(np.ascontiguousarray(y), settings(reading, variance, walk), states)
-                    if status != recursion.OK:
-                        continue
-                    error, robust = states["torque"] - truth, states["robust"] > 0
-                    moving = kept & one.moving
-                    bins = tuple(
-                        float(np.mean(robust[at])) if np.count_nonzero(at) > 100 else np.nan
-                        for at in (moving & (load >= low) & (load < high) for low, high in LOADS)
-                    )
-                    followed = metrics.responses(states["torque"], truth, CONTROL_PERIOD, events)
-                    yield Found(
-                        scenario, label, reading, v, w, one.seed, rms(error, kept), float(np.mean(robust[kept])),
-                        float(np.mean(np.abs(error[kept]) < 0.1)), bins, float(np.mean(robust[kept & ~one.moving])),
-                        1e3 * float(np.nanmean(followed)) if np.isfinite(followed).any() else np.nan,
-                        metrics.noise(states["torque"], truth, CONTROL_PERIOD, steady) / raw,
-                    )  # fmt: skip
+        known = mistaken(one.known, factors)
+        raw = metrics.noise(registry.get("model").estimate(one.signals, known).mean, truth, CONTROL_PERIOD, steady)
+        for reading, v, w in itertools.product(READINGS, variances, W):
+            try:
+                found = reading_of(reading, variances[v], W[w]).estimate(one.signals, known)
+            except FilterDiverged:
+                continue
+            error, robust = found.mean - truth, found.robust
+            bins = {name: moving & (load >= low) & (load < high) for name, (low, high) in BINS.items()}
+            followed = metrics.responses(found.mean, truth, CONTROL_PERIOD, events)
+            yield dict(zip(KEY, (label, reading, v, w, scenario), strict=True)) | {
+                "rms": rms(error, kept),
+                "robust": np.mean(robust[kept]),
+                "within": np.mean(np.abs(error[kept]) < 0.1),
+                **{name: np.mean(robust[at]) if np.count_nonzero(at) > 100 else np.nan for name, at in bins.items()},
+                "resting": np.mean(robust[kept & ~one.moving]),
+                "response_ms": 1e3 * np.nanmean(followed) if np.isfinite(followed).any() else np.nan,
+                "noise": metrics.noise(found.mean, truth, CONTROL_PERIOD, steady) / raw,
+            }
 
 
 def own_variance(known: KnownJoint) -> float:
@@ -123,146 +110,101 @@ def own_variance(known: KnownJoint) -> float:
     )
 
 
-class Map:
-    """All that was found, by setting."""
-
-    def __init__(self, found: Sequence[Found]):
-        self._by: dict[tuple[str, str, str, str, str], list[Found]] = {}
-        for one in found:
-            self._by.setdefault((one.mismatch, one.reading, one.V, one.W, one.scenario), []).append(one)
-        self.settings = list(dict.fromkeys(key[:4] for key in self._by))
-
-    def values(self, setting: tuple[str, ...], scenario: str, measure: str) -> np.ndarray:
-        """A measure of every draw."""
-        return np.array([getattr(one, measure) for one in self._by.get((*setting, scenario), ())])  # type: ignore[arg-type]
-
-    def loads(self, setting: tuple[str, ...], scenario: str = "link_sweep") -> np.ndarray:
-        """Share of robust mode by load in motion, mean over draws; shape (bins,)."""
-        return np.nanmean(self.values(setting, scenario, "by_load"), axis=0)
-
-    def claims(self, setting: tuple[str, ...]) -> tuple[bool, bool, bool, bool]:
-        """Within 0.1 N·m without load 99 % of the time; optimal there 90 %; in motion optimal 90 % below 1 N·m and robust half of
-        the time from 4 N·m on; a push followed within 10 ms at no more than two thirds of the noise."""
-        shares = self.loads(setting)
-        grows = bool(shares[0] <= 0.1 and np.all(shares[3:] >= 0.5))
-        response = np.nanmean(self.values(setting, "external_push", "response"))
-        return (
-            bool(np.mean(self.values(setting, "no_load", "within")) >= 0.99),
-            bool(np.mean(self.values(setting, "no_load", "robust")) <= 0.1),
-            grows,
-            bool(response <= 10.0 and np.mean(self.values(setting, "external_push", "noise")) <= 2 / 3),
-        )
+def means(rows: pd.DataFrame) -> pd.DataFrame:
+    """Means over draws, by `KEY`."""
+    return rows.groupby(KEY, sort=False).mean()
 
 
-def shown(found: Map) -> list[tuple[str, str, str, str]]:
+def claims(mean: pd.DataFrame, setting: Setting) -> tuple[bool, bool, bool, bool]:
+    """Within 0.1 N·m without load 99 % of the time; optimal there 90 %; in motion optimal 90 % below 1 N·m and robust half of
+    the time from 4 N·m on; a push followed within 10 ms at no more than two thirds of the noise."""
+    no_load, sweep, push = (mean.loc[*setting, scenario] for scenario in SCENARIOS)
+    shares = sweep[list(BINS)]
+    return (
+        bool(no_load["within"] >= 0.99),
+        bool(no_load["robust"] <= 0.1),
+        bool(shares.iloc[0] <= 0.1 and (shares.iloc[3:] >= 0.5).all()),
+        bool(push["response_ms"] <= 10.0 and push["noise"] <= 2 / 3),
+    )
+
+
+def shown(mean: pd.DataFrame) -> list[Setting]:
     """Select the settings of the tables: exact calibration, the smaller W. The CSV has all."""
-    return [s for s in found.settings if s[0] == "exact" and s[3] == next(iter(W))]
+    settings = dict.fromkeys(key[:4] for key in mean.index)
+    return [s for s in settings if s[0] == "exact" and s[3] == next(iter(W))]
 
 
-def claim_table(found: Map) -> str:
+def claim_table(rows: pd.DataFrame) -> str:
     """Make the table of claims that hold, by reading and V."""
-    rows = [(*s[1:3], *("yes" if held else "no" for held in found.claims(s))) for s in shown(found)]
-    return markdown_table(("α", "V", *CLAIMS), rows)
+    mean = means(rows)
+    lines = [(*s[1:3], *("yes" if held else "no" for held in claims(mean, s))) for s in shown(mean)]
+    return markdown_table(("α", "V", *CLAIMS), lines)
 
 
-def calibration_table(found: Map) -> str:
+def calibration_table(rows: pd.DataFrame) -> str:
     """Make the table of claims that hold, by number, over calibration errors and V."""
-    walk = next(iter(W))
-    rows = [(label, v, *(_codes(found, (label, r, v, walk)) for r in READINGS)) for label in MISMATCHES for v in V]
-    return markdown_table(("calibration", "V", *READINGS), rows)
+    mean, walk = means(rows), next(iter(W))
+    lines = [(label, v, *(_codes(mean, (label, r, v, walk)) for r in READINGS)) for label in MISMATCHES for v in V]
+    return markdown_table(("calibration", "V", *READINGS), lines)
 
 
-def _codes(found: Map, setting: tuple[str, ...]) -> str:
+def _codes(mean: pd.DataFrame, setting: Setting) -> str:
     """Write the numbers of the claims that hold."""
-    return "".join(str(i) for i, held in enumerate(found.claims(setting), 1) if held) or "none"
+    return "".join(str(i) for i, held in enumerate(claims(mean, setting), 1) if held) or "none"
 
 
-def _shares(found: Map, setting: tuple[str, ...]) -> list[str]:
-    """Share of robust mode [%]: without load, in the sweep by load while it moves, at rest."""
-    shares = [f"{100 * x:.0f}" for x in found.loads(setting)]
-    no_load = f"{100 * np.mean(found.values(setting, 'no_load', 'robust')):.1f}"
-    return [no_load, *shares, f"{100 * np.mean(found.values(setting, 'link_sweep', 'resting')):.0f}"]
+def mode_table(rows: pd.DataFrame) -> str:
+    """Share of robust mode [%], exact calibration: without load, in the sweep by load while it moves, at rest."""
+    mean, lines = means(rows), []
+    for s in shown(mean):
+        sweep = 100 * mean.loc[*s, "link_sweep"]
+        no_load = f"{100 * mean.loc[*s, 'no_load']['robust']:.1f}"
+        lines.append((*s[1:3], no_load, *(f"{share:.0f}" for share in sweep[[*BINS, "resting"]])))
+    return markdown_table(("α", "V", "no load", *_TITLES, "at rest"), lines)
 
 
-_BINS = [f"sweep, {a:g}–{b:g} N·m" if b < 99 else f"sweep, over {a:g} N·m" for a, b in LOADS]
-
-
-def mode_table(found: Map) -> str:
-    """Share of robust mode by load, exact calibration."""
-    rows = [(*s[1:3], *_shares(found, s)) for s in shown(found)]
-    return markdown_table(("α", "V", "no load", *_BINS, "at rest"), rows)
-
-
-def count_table(found: Mapping[int, Map]) -> str:
+def count_table(found: Mapping[int, pd.DataFrame]) -> str:
     """Make the table of claims that hold, by number, over the motor encoder's counts, with exact calibration."""
     walk = next(iter(W))
-    rows = [
-        (str(counts), v, *(_codes(one, ("exact", r, v, walk)) for r in READINGS))
-        for counts, one in found.items()
+    lines = [
+        (str(counts), v, *(_codes(means(rows), ("exact", r, v, walk)) for r in READINGS))
+        for counts, rows in found.items()
         for v in (SHIPPED, OWN)
     ]
-    return markdown_table(("counts", "V", *READINGS), rows)
+    return markdown_table(("counts", "V", *READINGS), lines)
 
 
 def mode_figure(csv_path: Path, path: Path) -> None:
     """Draw the share of the robust mode over the load in motion, from paper.csv."""
-    with csv_path.open(newline="", encoding="utf-8") as file:
-        rows = [
-            r for r in csv.DictReader(file)
-            if (r["calibration"], r["W"], r["scenario"]) == ("exact", next(iter(W)), "link_sweep")
-        ]  # fmt: skip
+    mean = pd.read_csv(csv_path, dtype=dict.fromkeys(KEY, str))
+    mean = mean[(mean.calibration == "exact") & (mean.W == next(iter(W))) & (mean.scenario == "link_sweep")]
     panels: dict[str, list[plots.Point]] = {}
-    for (low, high), label in zip(LOADS, _BINS, strict=True):
-        for r in rows:
-            share = 100 * float(r[f"robust_{low:g}_{high:g}"])
-            panels.setdefault(f"V = {r['V']}", []).append((label, r["alpha"], Interval(share, share, share, 1)))
+    for name, label in zip(BINS, _TITLES, strict=True):
+        for v, alpha, share in zip(mean.V, mean.alpha, 100 * mean[name], strict=True):
+            panels.setdefault(f"V = {v}", []).append((label, alpha, Interval(share, share, share, 1)))
     plots.intervals(path, panels, "time in robust mode [%]", log=False)
 
 
-def error_table(found: Map) -> str:
+def error_table(rows: pd.DataFrame) -> str:
     """RMS errors, response and noise, exact calibration."""
-    rows = []
-    for s in shown(found):
-        cells = [text(interval(found.values(s, name, "rms")), 4) for name in SCENARIOS]
-        response = text(interval(found.values(s, "external_push", "response")), 1)
-        within = f"{100 * np.mean(found.values(s, 'no_load', 'within')):.1f}"
-        noise = f"{np.mean(found.values(s, 'external_push', 'noise')):.2f}"
-        rows.append((*s[1:3], within, *cells, response, noise))
+    mean, draws, lines = means(rows), rows.groupby(KEY), []
+    for s in shown(mean):
+        cells = [text(interval(draws.get_group((*s, name))["rms"].to_numpy()), 4) for name in SCENARIOS]
+        response = text(interval(draws.get_group((*s, "external_push"))["response_ms"].to_numpy()), 1)
+        within = f"{100 * mean.loc[*s, 'no_load']['within']:.1f}"
+        noise = f"{mean.loc[*s, 'external_push']['noise']:.2f}"
+        lines.append((*s[1:3], within, *cells, response, noise))
     heads = (
         "α", "V", "no load within 0.1 N·m [%]", *(f"{name} [N·m]" for name in SCENARIOS), "response [ms]",
         "noise / raw",
     )  # fmt: skip
-    return markdown_table(heads, rows)
+    return markdown_table(heads, lines)
 
 
-def write_csv(found: Map, path: Path) -> None:
+def write_csv(rows: pd.DataFrame, path: Path) -> None:
     """Means over draws of every setting."""
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        bins = [f"robust_{a:g}_{b:g}" for a, b in LOADS]
-        writer.writerow(
-            [
-                "calibration",
-                "alpha",
-                "V",
-                "W",
-                "scenario",
-                "rms",
-                "robust",
-                "within",
-                *bins,
-                "resting",
-                "response_ms",
-                "noise",
-            ]
-        )
-        for key in found._by:
-            setting, scenario = key[:4], key[4]
-            first = [np.mean(found.values(setting, scenario, m)) for m in ("rms", "robust", "within")]
-            last = [np.mean(found.values(setting, scenario, m)) for m in ("resting", "response", "noise")]
-            shares = found.values(setting, scenario, "by_load")
-            middle = [np.nanmean(c) if np.isfinite(c).any() else np.nan for c in shares.T]
-            writer.writerow([*key, *("" if np.isnan(x) else f"{x:.4g}" for x in (*first, *middle, *last))])
+    with write_into_place(path) as temporary:
+        means(rows).to_csv(temporary, float_format="%.4g")
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -294,17 +236,19 @@ def main(arguments: Sequence[str] = ()) -> None:
     mode_figure(asked.page.with_suffix(".csv"), asked.page.parent / "figures" / "paper_mode.png")
 
 
-def measured(pool: ThreadPoolExecutor, seeds: Sequence[int], kept: Path | None, counts: int | None = None) -> Map:
+def measured(
+    pool: ThreadPoolExecutor, seeds: Sequence[int], kept: Path | None, counts: int | None = None
+) -> pd.DataFrame:
     """Every setting over every draw; `counts`: of another motor encoder, with its own V and the shipped one."""
     found, began = [], time.perf_counter()
     changes = [] if counts is None else [f"sensors.motor_encoder.counts={counts}"]
     for scenario in SCENARIOS:
 
-        def one(seed: int, scenario: str = scenario) -> list[Found]:
+        def one(seed: int, scenario: str = scenario) -> list[dict[str, Any]]:
             draw = drawn(scenario, 0.0, seed, kept, changes)
             own = V if counts is None else {SHIPPED: V[SHIPPED], OWN: own_variance(draw.known)}
             return list(examine(scenario, draw, own))
 
         found += [x for several in pool.map(one, seeds) for x in several]
         print(f"{time.perf_counter() - began:7.0f} s  {counts or ''} {scenario}", flush=True)
-    return Map(found)
+    return pd.DataFrame(found)

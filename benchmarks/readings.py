@@ -9,27 +9,23 @@ by the next one.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from benchmarks.draws import draw_of, geometric, rms
-from flexspline.estimator import recursion, registry
+from benchmarks.draws import geometric, rms
+from flexspline.estimator.errors import FilterDiverged
 from flexspline.models.errors import InputError
-from flexspline.models.files import write_into_place
-from flexspline.scenarios.evaluation.draws import drawn_record, known_within, varied
-from flexspline.scenarios.experiment import Experiment
-from flexspline.scenarios.scenario import load_scenario
+from flexspline.models.files import write_rows
 from flexspline.views.tables import markdown_table
 
-from . import kept
-from .claims import READINGS, V, settings
-from .estimators import REALISTIC, TOLERANCES, geometric_over
+from .claims import READINGS, V, reading_of
+from .estimators import REALISTIC, TOLERANCES, drawn, geometric_over
 from .pages import ROOT, fill, text
 
 EXPERIMENTS: tuple[tuple[str, float | None], ...] = (
@@ -39,102 +35,50 @@ EXPERIMENTS: tuple[tuple[str, float | None], ...] = (
 """Scenario, and gravity moment at horizontal of what is bolted on [N·m]; none: the scenario's own."""
 SENSORS = {"ideal": (), "realistic": REALISTIC}
 """Changes of a scenario."""
-SHOWN = tuple(t for t in TOLERANCES if t != 0.05)
-"""Tolerances of the table; the CSV has all."""
 W = 1e-4
+KEY = ["sensors", "tolerance", "experiment", "V", "reading"]
 
 
-@dataclass(frozen=True)
-class Row:
-    """RMS error [N·m] of a reading in an experiment of a draw; infinite where the filter diverged. `load` [N·m]: 0 for the
-    scenario's own."""
-
-    sensors: str
-    tolerance: float
-    scenario: str
-    load: float
-    seed: int
-    reading: str
-    V: str
-    rms: float
-
-
-def examined(seed: int) -> Iterator[Row]:
-    """Every reading with every V in all experiments of a draw."""
-    for sensors, changes in SENSORS.items():
-        for tolerance in TOLERANCES:
-            for name, load in EXPERIMENTS:
-                scenario, home = load_scenario(name, list(changes))
-                experiment = Experiment.of(varied(scenario, seed), home, load)
-                record = drawn_record(experiment, seed, tolerance, True)
-                simulation = experiment.simulate(seed, record, experiment.build(record))
-                one = draw_of(experiment, simulation, record, known_within(experiment.known, tolerance, True), seed)
-                y = np.ascontiguousarray(registry.get("model").estimate(one.signals, one.known).mean)
-                for reading in READINGS:
-                    for v, variance in V.items():
-                        states = np.zeros(len(y), recursion.STATE)
-                        _, status = recursion.run(y, settings(reading, variance, W), states)
-                        error = rms(states["torque"] - one.truth, one.kept) if status == recursion.OK else np.inf
-                        yield Row(sensors, tolerance, name, load or 0.0, seed, reading, v, float(f"{error:.6g}"))
+def examined(seed: int) -> Iterator[dict[str, Any]]:
+    """RMS error [N·m] of every reading with every V in all experiments of a draw; infinite where the filter diverged."""
+    for sensors, tolerance, (name, load) in itertools.product(SENSORS, TOLERANCES, EXPERIMENTS):
+        one = drawn(name, tolerance, seed, None, SENSORS[sensors], load)
+        for v, reading in itertools.product(V, READINGS):
+            try:
+                found = reading_of(reading, V[v], W).estimate(one.signals, one.known)
+                error = float(f"{rms(found.mean - one.truth, one.kept):.6g}")  # as kept
+            except FilterDiverged:
+                error = np.inf
+            title = name if load is None else f"{name}, {load:g} N·m"
+            yield dict(zip(["seed", *KEY, "rms"], (seed, sensors, tolerance, title, v, reading, error), strict=True))
 
 
-class Results:
-    """Rows of all draws."""
-
-    def __init__(self, rows: Sequence[Row]):
-        self._by: dict[tuple[str, float, str, float, str, str], list[float]] = {}
-        for row in sorted(rows, key=lambda row: row.seed):
-            key = (row.sensors, row.tolerance, row.scenario, row.load, row.reading, row.V)
-            self._by.setdefault(key, []).append(row.rms)
-
-    def values(
-        self, sensors: str, tolerance: float, where: tuple[str, float | None], reading: str, v: str
-    ) -> np.ndarray:
-        """RMS error of every draw, shape (draws,) [N·m]."""
-        return np.array(self._by[sensors, tolerance, where[0], where[1] or 0.0, reading, v])
-
-    def overall(self, sensors: str, tolerance: float, reading: str, v: str, reference: tuple[str, str]) -> str:
-        """Ratio to a reading with a V, over all experiments."""
-        both = [[self.values(sensors, tolerance, e, *one) for e in EXPERIMENTS] for one in ((reading, v), reference)]
-        return text(geometric_over(*both))
-
-
-def titles() -> list[str]:
-    """The experiments in words."""
-    return [name if load is None else f"{name}, {load:g} N·m" for name, load in EXPERIMENTS]
-
-
-def overall_table(results: Results) -> str:
+def overall_table(rows: pd.DataFrame) -> str:
     """Ratio to `max` with the shipped V, over all experiments."""
-    shipped = next(iter(V))
-    rows = []
-    for v in V:
-        for sensors in SENSORS:
-            for tolerance in SHOWN:
-                cells = [
-                    "1" if (reading, v) == ("max", shipped)
-                    else results.overall(sensors, tolerance, reading, v, ("max", shipped))
-                    for reading in READINGS
-                ]  # fmt: skip
-                rows.append((v, sensors, f"×{tolerance:g}", *cells))
-    return markdown_table(("V", "sensors", "tolerance", *READINGS), rows)
+    errors = rows.pivot(index=[k for k in KEY if k != "experiment"], columns=["experiment", "seed"], values="rms")
+
+    def cell(*setting: str, reference: tuple[str, str] = (next(iter(V)), "max")) -> str:
+        own, other = (errors.loc[*setting[:2], *one].unstack("seed").to_numpy() for one in (setting[2:], reference))
+        return "1" if setting[2:] == reference else text(geometric_over(own, other))
+
+    lines = [
+        (v, sensors, f"×{tolerance:g}", *(cell(sensors, tolerance, v, reading) for reading in READINGS))
+        for v, sensors, tolerance in itertools.product(V, SENSORS, TOLERANCES)
+        if tolerance != 0.05  # the CSV has all
+    ]
+    return markdown_table(("V", "sensors", "tolerance", *READINGS), lines)
 
 
-def write_csv(results: Results, path: Path) -> None:
+def means(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """Mean RMS error [N·m] of every reading, and its ratio to `max` with the same V."""
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["sensors", "tolerance", "experiment", "V", "reading", "draws", "rms", "ratio", "low", "high"])
-        for sensors in SENSORS:
-            for tolerance in TOLERANCES:
-                for experiment, title in zip(EXPERIMENTS, titles(), strict=True):
-                    for v in V:
-                        for reading in READINGS:
-                            own = results.values(sensors, tolerance, experiment, reading, v)
-                            ratio = geometric(own, results.values(sensors, tolerance, experiment, "max", v))
-                            cells = (np.mean(own), ratio.mean, ratio.low, ratio.high)
-                            head = (sensors, f"{tolerance:g}", title, v, reading, len(own))
-                            writer.writerow([*head, *(f"{x:.4g}" for x in cells)])
+    errors = {key: one.sort_values("seed")["rms"].to_numpy() for key, one in rows.groupby(KEY, sort=False)}
+    lines = []
+    for key, own in errors.items():
+        ratio = geometric(own, errors[*key[:-1], "max"])
+        cells = {"rms": np.mean(own), "ratio": ratio.mean, "low": ratio.low, "high": ratio.high}
+        said = dict(zip(KEY, key, strict=True)) | {"tolerance": f"{key[1]:g}", "draws": len(own)}
+        lines.append(said | {name: f"{value:.4g}" for name, value in cells.items()})
+    return lines
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -144,21 +88,22 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--kept", type=Path, default=Path("runs/readings.csv"))
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "paper.md")
     asked = parser.parse_args(arguments)
-    rows, began = kept.read(asked.kept, Row), time.perf_counter()
+    began = time.perf_counter()
+    rows = pd.read_csv(asked.kept, dtype={"V": str}) if asked.kept.exists() else pd.DataFrame({"seed": []})
     asked.kept.parent.mkdir(parents=True, exist_ok=True)
     seeds: list[int] = []
     for seed in itertools.count(201):
         if len(seeds) == asked.draws:
             break
-        if not any(row.seed == seed for row in rows):
+        if seed not in set(rows["seed"]):
             try:
-                rows += list(examined(seed))
+                rows = pd.concat([rows, pd.DataFrame(examined(seed))])
             except InputError as error:
                 print(f"draw {seed} is left out: {error}", flush=True)
                 continue
-            kept.write(asked.kept, rows, Row)
+            rows.to_csv(asked.kept, index=False)
             print(f"{time.perf_counter() - began:7.0f} s  draw {seed}", flush=True)
         seeds.append(seed)
-    results = Results([row for row in rows if row.seed in seeds])
-    fill(asked.page, {"readings": overall_table(results)})
-    write_csv(results, asked.page.with_name("readings.csv"))
+    rows = rows[rows["seed"].isin(seeds)]
+    fill(asked.page, {"readings": overall_table(rows)})
+    write_rows(asked.page.with_name("readings.csv"), means(rows))
