@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import argparse
 import os
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from benchmarks import band_draws as bands
 from flexspline.diagnosis.trials.draw import Challenge, Hidden
@@ -40,49 +39,38 @@ LEAST = 0.9
 """Share inside from which on a draw's band holds."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """A band of a draw: samples beyond the data, share of the truth inside, RMS of error and of the band's standard deviation."""
-
-    real: bool
-    draw: int
-    cause: str
-    named: str
-    channel: str
-    samples: int
-    inside: float
-    error: float
-    deviation: float
-
-
-def held(real: bool, index: int) -> list[Row]:
-    """One draw's bands."""
+def held(real: bool, index: int) -> kept.Rows:
+    """One draw's bands: samples beyond the data, share of the truth inside, RMS of error and of the band's standard deviation."""
     challenge = Challenge(seed=SEED, hidden=KINDS[index % len(KINDS)], real=real)
     part = bands.diagnosed_part(challenge, index)
-    found = part.found
     cause = ", ".join(e.name for e in part.drawn.effects) or "none"
-    named = ", ".join(c.name for c in found.causes if c.confidence >= 0.5) or found.verdict
+    named = ", ".join(c.name for c in part.found.causes if c.confidence >= 0.5) or part.found.verdict
+    head = {"real": real, "draw": index, "cause": cause, "named": named}
     return [
-        Row(real, index, cause, named, name, h.samples, *(float(f"{x:.4g}") for x in (h.inside, h.error, h.width)))
+        head | {"channel": name, "samples": h.samples}
+        | {k: float(f"{x:.4g}") for k, x in (("inside", h.inside), ("error", h.error), ("deviation", h.width))}
         for name, h in (bands.channels_held(part) | bands.estimates_held(part)).items()
-    ]
+    ]  # fmt: skip
 
 
-def about(rows: Sequence[Row]) -> str:
+def _inside(rows: pd.DataFrame, real: bool, channel: str) -> np.ndarray:
+    """Share inside in every draw with enough samples."""
+    return rows.inside[(rows.real == real) & (rows.channel == channel) & (rows.samples >= ENOUGH)].to_numpy()
+
+
+def about(rows: pd.DataFrame) -> str:
     """How many draws there are, and of what."""
-    real, sound = (sorted({r.draw for r in rows if r.real == kind}) for kind in (True, False))
-    return (
-        f"({len(real)} joints with imperfections, {len(sound)} without, seed {SEED}; every other one hides an effect)"
-    )
+    real, sound = (rows.draw[rows.real == kind].nunique() for kind in (True, False))
+    return f"({real} joints with imperfections, {sound} without, seed {SEED}; every other one hides an effect)"
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: pd.DataFrame) -> str:
     """By channel and kind of joint: mean share inside over draws, its interval, and how many draws have at least 90 %."""
     body = []
     for name, label in LABELS.items():
         cells = []
         for real in (True, False):
-            some = np.array([r.inside for r in rows if r.real == real and r.channel == name and r.samples >= ENOUGH])
+            some = _inside(rows, real, name)
             cells += [share(some), f"{np.sum(some >= LEAST)} of {len(some)}"] if len(some) else ["–", "–"]
         body.append((label, *cells))
     heads = (
@@ -95,13 +83,13 @@ def table(rows: Sequence[Row]) -> str:
     return markdown_table(heads, body)
 
 
-def figure(rows: Sequence[Row], path: Path) -> None:
+def figure(rows: pd.DataFrame, path: Path) -> None:
     """Draw the shares inside, by channel."""
     panels: dict[str, list[plots.Point]] = {}
     for real, title in ((True, "with imperfections"), (False, "without imperfections")):
         for name, label in LABELS.items():
-            some = [100 * r.inside for r in rows if r.real == real and r.channel == name and r.samples >= ENOUGH]
-            panels.setdefault(title, []).append((label.replace("`", ""), "", interval(some)))
+            some = interval(100 * _inside(rows, real, name))
+            panels.setdefault(title, []).append((label.replace("`", ""), "", some))
     plots.intervals(path, panels, "samples inside the 95 % band [%]", log=False)
 
 
@@ -116,14 +104,9 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "bands.csv")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "diagnosis.md")
     asked = parser.parse_args(arguments)
-    rows, began = kept.read(asked.kept, Row), time.monotonic()
-    have = {(r.real, r.draw) for r in rows}
     wanted = [(real, k) for real, n in ((True, asked.draws), (False, asked.sound)) for k in range(n)]
-    for _, done in kept.computed(held, [one for one in wanted if one not in have], asked.processes):
-        rows = sorted([*rows, *done.result()], key=lambda r: (not r.real, r.draw, list(LABELS).index(r.channel)))
-        kept.write(asked.kept, rows, Row)
-        minutes = (time.monotonic() - began) / 60
-        print(f"{len({(r.real, r.draw) for r in rows})} draws; {minutes:.1f} min", flush=True)
+    order = {"real": (True, False), "draw": None, "channel": tuple(LABELS)}
+    rows = kept.completed(asked.kept, held, wanted, ("real", "draw"), order, asked.processes)
     fill(asked.page, {"bands": table(rows), "bands about": about(rows)})
     figure(rows, asked.page.parent / "figures" / "bands.png")
     print(table(rows))

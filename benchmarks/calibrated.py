@@ -16,13 +16,14 @@ are not computed again, so that a run can be stopped and continued.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from benchmarks.draws import DrawnExperiment, draw_of, geometric, rms
 from flexspline.diagnosis.diagnose import diagnose
@@ -48,29 +49,6 @@ PARTS = ("rms", "moving", "resting")
 LABELS = {"none": "nothing hidden", "one": "one hidden cause"}
 
 
-@dataclass(frozen=True)
-class Row:
-    """An estimator's RMS errors [N·m] in an experiment of a draw: of all, moving, at rest, with each knowledge; infinite where
-    it diverged. `hidden`: none or one; `cause`: which; `named`: what the diagnosis named, the first cause or the verdict."""
-
-    hidden: str
-    real: bool
-    draw: int
-    cause: str
-    named: str
-    scenario: str
-    estimator: str
-    before_rms: float
-    before_moving: float
-    before_resting: float
-    after_rms: float
-    after_moving: float
-    after_resting: float
-    exact_rms: float
-    exact_moving: float
-    exact_resting: float
-
-
 def known(one: Draw, extended: Joint, experiment: Experiment, record: np.ndarray) -> dict[str, KnownJoint]:
     """Return what the estimators know of a joint, by knowledge."""
     described = KnownJoint.of(one.nominal, experiment.mounting)
@@ -83,29 +61,28 @@ def known(one: Draw, extended: Joint, experiment: Experiment, record: np.ndarray
     }
 
 
-def assessed(hidden: Hidden, real: bool, index: int, names: Sequence[str] = NAMES) -> list[Row]:
+def assessed(hidden: Hidden, real: bool, index: int, names: Sequence[str] = NAMES) -> kept.Rows:
     """One draw: recorded, diagnosed, and every estimator's errors on fresh motion with each knowledge."""
     one = draw(Challenge(seed=SEED, hidden=hidden, real=real), index)
     found = diagnose(one.measurement, one.nominal)
     named = found.causes[0].name if found.causes else found.verdict
-    return errors(one, found.extended, names, (hidden, real, index, ", ".join(e.name for e in one.effects), named))
+    cause = ", ".join(e.name for e in one.effects)
+    said = {"hidden": hidden, "real": real, "draw": index, "cause": cause, "named": named}
+    return [said | row for row in errors(one, found.extended, names, index)]
 
 
 def errors(
-    one: Draw,
-    extended: Joint,
-    names: Sequence[str],
-    said: tuple[str, bool, int, str, str],
-    duration: float | None = None,
-) -> list[Row]:
-    """Errors of estimators on fresh motion of a draw; `said`: how rows begin; `duration`: of the motion [s], whole by default."""
-    rows = []
+    one: Draw, extended: Joint, names: Sequence[str], index: int = 0, duration: float | None = None
+) -> kept.Rows:
+    """RMS errors [N·m] of estimators on fresh motion of a draw: of all, moving, at rest, with each knowledge; infinite where it
+    diverged. `index`: of the draw; `duration`: of the motion [s], whole by default."""
+    rows: kept.Rows = []
     true = one.nominal if one.imperfections is None else one.imperfections.nominal
     for name in SCENARIOS:
         scenario, home = load_scenario(name)
         if duration is not None:
             scenario = scenario.model_copy(update={"duration": duration, "disturbances": []})
-        seed = SEED + said[2]
+        seed = SEED + index
         experiment = replace(Experiment.of(varied(scenario, seed), home), joint=true)
         record = next(
             record
@@ -116,8 +93,10 @@ def errors(
         simulation = experiment.simulate(seed, record, experiment.build(record))
         fresh = draw_of(experiment, simulation, record, each["exact"], seed)
         for estimator in names:
-            values = [value for knowledge in KNOWLEDGE for value in _errors(estimator, each[knowledge], fresh)]
-            rows.append(Row(*said, name, estimator, *values))
+            rows.append({"scenario": name, "estimator": estimator})
+            for knowledge in KNOWLEDGE:
+                values = _errors(estimator, each[knowledge], fresh)
+                rows[-1] |= {f"{knowledge}_{part}": value for part, value in zip(PARTS, values, strict=True)}
     return rows
 
 
@@ -131,25 +110,16 @@ def _errors(name: str, joint: KnownJoint, fresh: DrawnExperiment) -> list[float]
     return [float(f"{rms(error, mask):.4g}") for mask in masks]
 
 
-class Results:
-    """Rows of all draws: by kind of draw, estimator and knowledge, the geometric mean over the experiments of each draw."""
+def of_kind(rows: pd.DataFrame, hidden: str, real: bool) -> pd.DataFrame:
+    """Rows of a kind of draw."""
+    return rows[(rows.hidden == hidden) & (rows.real == real)]
 
-    def __init__(self, rows: Sequence[Row]):
-        self.rows = rows
 
-    def draws(self, hidden: str, real: bool) -> list[int]:
-        """Numbers of the draws of a kind."""
-        return sorted({r.draw for r in self.rows if r.hidden == hidden and r.real == real})
-
-    def values(
-        self, hidden: str, real: bool, estimator: str, knowledge: str, part: str = "rms", cause: str | None = None
-    ) -> np.ndarray:
-        """RMS error of every draw [N·m], geometric mean over the experiments, shape (draws,); infinite where it diverged."""
-        by: dict[int, list[float]] = {}
-        for r in self.rows:
-            if (r.hidden, r.real, r.estimator) == (hidden, real, estimator) and cause in (None, r.cause):
-                by.setdefault(r.draw, []).append(getattr(r, f"{knowledge}_{part}"))
-        return np.array([np.exp(np.mean(np.log(by[k]))) for k in sorted(by)])
+def values(rows: pd.DataFrame, hidden: str, real: bool, estimator: str, knowledge: str) -> np.ndarray:
+    """RMS error of every draw [N·m], geometric mean over the experiments, shape (draws,); infinite where it diverged."""
+    some = of_kind(rows, hidden, real)
+    some = some[some.estimator == estimator]
+    return np.exp(np.log(some[f"{knowledge}_rms"]).groupby(some.draw).mean()).to_numpy()
 
 
 def _mean(found: Interval, digits: int) -> str:
@@ -164,38 +134,36 @@ def _level(values: np.ndarray) -> str:
     return f"{found}, {diverged} diverged" if diverged else found
 
 
-def kind_table(results: Results, real: bool, names: Sequence[str] = NAMES) -> str:
+def kind_table(rows: pd.DataFrame, real: bool, names: Sequence[str] = NAMES) -> str:
     """Make the table of errors before, after, and with exact knowledge, without and with a hidden cause."""
-    kinds = [hidden for hidden in LABELS if results.draws(hidden, real)]
-    rows = []
+    kinds = [hidden for hidden in LABELS if len(of_kind(rows, hidden, real))]
+    lines = []
     for name in names:
-        row = [f"`{name}`"]
+        line = [f"`{name}`"]
         for hidden in kinds:
-            values = {k: results.values(hidden, real, name, k) for k in KNOWLEDGE}
-            row += [_level(values[k]) for k in KNOWLEDGE]
-            worse = np.sum(values["after"] > values["before"])
-            row += [_mean(geometric(values["after"], values["before"]), 2), f"{worse} of {len(values['after'])}"]
-        rows.append(row)
+            before, after, exact = (values(rows, hidden, real, name, k) for k in KNOWLEDGE)
+            line += [_level(before), _level(after), _level(exact), _mean(geometric(after, before), 2)]
+            line.append(f"{np.sum(after > before)} of {len(after)}")
+        lines.append(line)
     heads = ["estimator"]
     for hidden in kinds:
         heads += [f"{LABELS[hidden]}: before [N·m]", "after", "exact", "after / before", "worse after"]
-    return markdown_table(heads, rows)
+    return markdown_table(heads, lines)
 
 
-def counts(results: Results, real: bool) -> str:
+def counts(rows: pd.DataFrame, real: bool) -> str:
     """Say how often the diagnosis was right, and how `augmented` changed."""
     parts = []
     for hidden, what in (
         ("none", "joints with nothing hidden were called consistent"),
         ("one", "causes were named first"),
     ):
-        rows = [r for r in results.rows if r.hidden == hidden and r.real == real]
-        named = {r.draw: r.named == (r.cause or "consistent") for r in rows}
-        if named and not (real and hidden == "none"):  # imperfections are found as what they are
-            parts.append(f"{sum(named.values())} of {len(named)} {what}.")
-    kinds = [h for h in LABELS if any((r.hidden, r.real, r.estimator) == (h, real, NAMES[0]) for r in results.rows)]
+        draws = of_kind(rows, hidden, real).drop_duplicates("draw")
+        if len(draws) and not (real and hidden == "none"):  # imperfections are found as what they are
+            parts.append(f"{(draws.named == draws.cause.replace('', 'consistent')).sum()} of {len(draws)} {what}.")
+    kinds = [h for h in LABELS if len(values(rows, h, real, NAMES[0], "before"))]
     if kinds:
-        before, after = (np.concatenate([results.values(h, real, NAMES[0], k) for h in kinds]) for k in KNOWLEDGE[:2])
+        before, after = (np.concatenate([values(rows, h, real, NAMES[0], k) for h in kinds]) for k in KNOWLEDGE[:2])
         parts.append(
             f"The largest error of `{NAMES[0]}` was {np.max(before):.2g} N·m before a diagnosis and {np.max(after):.2g} N·m "
             "after it."
@@ -203,51 +171,31 @@ def counts(results: Results, real: bool) -> str:
     return " ".join(parts)
 
 
-def tables(results: Results, names: Sequence[str] = NAMES) -> dict[str, str]:
+def tables(rows: pd.DataFrame, names: Sequence[str] = NAMES) -> dict[str, str]:
     """Make the tables of docs/estimators.md, by marker."""
     found = {}
     for real, name in ((False, "calibrated"), (True, "calibrated real")):
-        if results.draws("none", real) or results.draws("one", real):
-            said = f"{_counts(results, real)}, seed {SEED}. {counts(results, real)}"
-            found |= {f"{name} about": said, name: kind_table(results, real, names)}
+        if (rows.real == real).any():
+            said = f"{_counts(rows, real)}, seed {SEED}. {counts(rows, real)}"
+            found |= {f"{name} about": said, name: kind_table(rows, real, names)}
     return found
 
 
-def figure(results: Results, path: Path, names: Sequence[str] = NAMES) -> None:
+def figure(rows: pd.DataFrame, path: Path) -> None:
     """Draw the errors on joints with one hidden cause."""
-    plots.intervals(
-        path,
-        {
-            label: [
-                (name, knowledge, geometric(values, np.ones(len(values))))
-                for knowledge in KNOWLEDGE
-                for name in names
-                for values in [results.values("one", real, name, knowledge)]
-            ]
-            for real, label in ((False, "without imperfections"), (True, "with imperfections"))
-            if results.draws("one", real)
-        },
-        "RMS error [N·m]",
-    )
+    panels: dict[str, list[plots.Point]] = {}
+    for real, label in ((False, "without imperfections"), (True, "with imperfections")):
+        for knowledge, name in itertools.product(KNOWLEDGE, NAMES):
+            errors = values(rows, "one", real, name, knowledge)
+            if len(errors):
+                panels.setdefault(label, []).append((name, knowledge, geometric(errors, np.ones(len(errors)))))
+    plots.intervals(path, panels, "RMS error [N·m]")
 
 
-def _counts(results: Results, real: bool) -> str:
+def _counts(rows: pd.DataFrame, real: bool) -> str:
     """How many draws there are of each kind."""
-    numbers = {label: len(results.draws(hidden, real)) for hidden, label in LABELS.items()}
+    numbers = {label: of_kind(rows, hidden, real).draw.nunique() for hidden, label in LABELS.items()}
     return ", ".join(f"{n or 'no'} {'joint' if n == 1 else 'joints'} with {label}" for label, n in numbers.items())
-
-
-def read(path: Path) -> list[Row]:
-    """Rows that are kept."""
-    return kept.read(path, Row)
-
-
-def write(path: Path, rows: Sequence[Row]) -> None:
-    """Keep rows, in order of draws."""
-    ordered = sorted(
-        rows, key=lambda r: (r.real, r.hidden, r.draw, SCENARIOS.index(r.scenario), NAMES.index(r.estimator))
-    )
-    kept.write(path, ordered, Row)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -265,18 +213,11 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "calibrated.csv")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
     asked = parser.parse_args(arguments)
-    rows, began = read(asked.kept), time.monotonic()
-    have = {(r.hidden, r.real, r.draw) for r in rows}
     # Alternate between the kinds, so that a stopped run has as many of both.
     wanted = [(h, asked.real, k) for k in range(asked.draws) for h in LABELS]
-    waiting = [one for one in wanted if one not in have]
-    for _, done in kept.computed(assessed, waiting, asked.processes, asked.minutes):
-        rows += done.result()
-        write(asked.kept, rows)
-        last = rows[-1]
-        minutes = (time.monotonic() - began) / 60
-        print(f"{last.hidden} {last.draw} {last.cause}: {last.named}; {minutes:.1f} min", flush=True)
-    results = Results(rows)
-    fill(asked.page, tables(results))
-    figure(results, asked.page.parent / "figures" / "calibrated.png")
-    print(kind_table(results, asked.real))
+    order = {"real": None, "hidden": None, "draw": None, "scenario": SCENARIOS, "estimator": NAMES}
+    by = ("hidden", "real", "draw")
+    rows = kept.completed(asked.kept, assessed, wanted, by, order, asked.processes, asked.minutes)
+    fill(asked.page, tables(rows))
+    figure(rows, asked.page.parent / "figures" / "calibrated.png")
+    print(kind_table(rows, asked.real))

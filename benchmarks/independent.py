@@ -15,10 +15,11 @@ import math
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from benchmarks.draws import geometric
 from flexspline.estimator import registry
@@ -42,21 +43,6 @@ KINDS = ("free", "sweep", "push")
 LABELS = {False: "sensors as described", True: "with imperfections"}
 
 
-@dataclass(frozen=True)
-class Row:
-    """An estimator over a recording of a drawn joint: RMS error and what it believes that to be [N·m], NaN without a belief; mean
-    NEES; number of samples."""
-
-    imperfect: bool
-    seed: int
-    kind: str
-    estimator: str
-    rms: float
-    claimed: float
-    nees: float
-    samples: int
-
-
 def measured(
     seed: int,
     imperfect: bool,
@@ -64,8 +50,9 @@ def measured(
     names: Sequence[str] = NAMES,
     kinds: Sequence[str] = KINDS,
     joint: Joint | None = None,
-) -> list[Row]:
-    """Errors over the recordings of a drawn joint.
+) -> kept.Rows:
+    """Errors over the recordings of a drawn joint: RMS and what an estimator believes that to be [N·m], NaN without a belief;
+    mean NEES; number of samples.
 
     Args:
       seed: of the draw.
@@ -95,24 +82,22 @@ def measured(
             square, claimed, nees = (found.mean - drawn.torque) ** 2, math.nan, math.nan
             if found.variance is not None:
                 claimed, nees = math.sqrt(np.mean(found.variance)), float(np.mean(square / found.variance))
-            figures = (float(f"{x:.5g}") for x in (math.sqrt(np.mean(square)), claimed, nees))
-            rows.append(Row(imperfect, seed, kind, name, *figures, len(square)))
+            figures = {"rms": math.sqrt(np.mean(square)), "claimed": claimed, "nees": nees}
+            head = {"imperfect": imperfect, "seed": seed, "kind": kind, "estimator": name}
+            rows.append(head | {k: float(f"{x:.5g}") for k, x in figures.items()} | {"samples": len(square)})
     return rows
 
 
-def error(rows: Sequence[Row], imperfect: bool, name: str) -> np.ndarray:
+def error(rows: pd.DataFrame, imperfect: bool, name: str) -> np.ndarray:
     """RMS error [N·m] over all samples of every joint, in the order of seeds, shape (joints,)."""
-    total: dict[int, list[float]] = {}
-    for r in rows:
-        if (r.imperfect, r.estimator) == (imperfect, name):
-            square, samples = total.setdefault(r.seed, [0.0, 0.0])
-            total[r.seed] = [square + r.samples * r.rms**2, samples + r.samples]
-    return np.array([math.sqrt(total[seed][0] / total[seed][1]) for seed in sorted(total)])
+    own = rows[(rows.imperfect == imperfect) & (rows.estimator == name)]
+    squares = (own.samples * own.rms**2).groupby(own.seed).sum()
+    return np.sqrt(squares / own.samples.groupby(own.seed).sum()).to_numpy()
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: pd.DataFrame) -> str:
     """Error, and its ratio to RAREKF's, by estimator and kind of joint."""
-    kinds = [imperfect for imperfect in LABELS if any(r.imperfect == imperfect for r in rows)]
+    kinds = [imperfect for imperfect in LABELS if (rows.imperfect == imperfect).any()]
     heads = ["estimator"]
     for imperfect in kinds:
         count = len(error(rows, imperfect, REFERENCE))
@@ -130,7 +115,7 @@ def table(rows: Sequence[Row]) -> str:
     return markdown_table(heads, lines)
 
 
-def figure(rows: Sequence[Row], path: Path) -> None:
+def figure(rows: pd.DataFrame, path: Path) -> None:
     """Draw the ratios of `table`."""
     panels = {
         label: [
@@ -142,15 +127,14 @@ def figure(rows: Sequence[Row], path: Path) -> None:
     plots.intervals(path, panels, f"RMS error / {REFERENCE}'s")
 
 
-def beliefs(rows: Sequence[Row], name: str = NAMES[0]) -> str:
+def beliefs(rows: pd.DataFrame, name: str = NAMES[0]) -> str:
     """Whether an estimator knows how wrong it is, by kind of joint and recording."""
     lines = []
     for imperfect, label in LABELS.items():
         for kind in KINDS:
-            own = [r for r in rows if (r.imperfect, r.kind, r.estimator) == (imperfect, kind, name)]
-            if own:
-                apart = np.array([r.rms / r.claimed for r in own])
-                nees = np.array([r.nees for r in own])
+            own = rows[(rows.imperfect == imperfect) & (rows.kind == kind) & (rows.estimator == name)]
+            if len(own):
+                apart, nees = own.rms / own.claimed, own.nees
                 lines.append([
                     label, kind, f"{np.mean(nees):.2f}", f"{np.median(nees):.2f}", f"{np.max(apart):.2f}",
                     f"{np.count_nonzero(apart > 3.0)} of {len(own)}",
@@ -177,14 +161,9 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
     parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
     asked = parser.parse_args(arguments)
-    rows = kept.read(asked.kept, Row)
-    have = {(r.seed, r.imperfect) for r in rows}
     wanted = [(FIRST + k, imperfect) for k in range(asked.draws) for imperfect in LABELS]
-    for one, done in kept.computed(measured, [w for w in wanted if w not in have], asked.processes):
-        rows += done.result()
-        rows.sort(key=lambda r: (r.imperfect, r.seed, KINDS.index(r.kind), NAMES.index(r.estimator)))
-        kept.write(asked.kept, rows, Row)
-        print(f"seed {one[0]}, {LABELS[one[1]]}", flush=True)
+    order = {"imperfect": None, "seed": None, "kind": KINDS, "estimator": NAMES}
+    rows = kept.completed(asked.kept, measured, wanted, ("seed", "imperfect"), order, asked.processes)
     fill(asked.page, {"independent": table(rows), "independent beliefs": beliefs(rows)})
     fill(asked.readme, {"independent": table(rows)})
     figure(rows, asked.page.parent / "figures" / "independent.png")

@@ -2,39 +2,54 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
+
+import numpy as np
+import pandas as pd
 
 from flexspline.models.files import write_into_place
 
-Row = TypeVar("Row")
-_READ: Mapping[str, Any] = {"str": str, "int": int, "float": float, "bool": "True".__eq__}
+Rows = list[dict[str, Any]]
 
 
-def read(path: Path, row: type[Row]) -> list[Row]:
-    """Rows that are kept, of a dataclass of texts, numbers and truth values; none where there is no file."""
-    if not path.exists():
-        return []
-    kinds = {f.name: str(f.type) for f in fields(row)}  # type: ignore[arg-type]
-    with path.open(newline="", encoding="utf-8") as file:
-        return [row(**{k: _READ[kinds[k]](v) for k, v in line.items()}) for line in csv.DictReader(file)]
+def completed(
+    path: Path,
+    function: Callable[..., Rows],
+    wanted: Sequence[tuple[Any, ...]],
+    by: Sequence[str],
+    order: Mapping[str, Sequence[Any] | None],
+    processes: int = 1,
+    minutes: float = math.inf,
+) -> pd.DataFrame:
+    """Compute the wanted draws that are not kept yet, keep the rows of each as it ends, and return all rows.
 
-
-def write(path: Path, rows: Sequence[Any], row: type[Any]) -> None:
-    """Keep rows in their order."""
-    names = [f.name for f in fields(row)]
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows([getattr(r, name) for name in names] for r in rows)
+    Args:
+      path: of the CSV.
+      function: importable; rows of a draw.
+      wanted: draws, the function's arguments; they are the columns `by`.
+      order: columns by which rows are sorted, each with its values in order; None: their own order.
+      processes: at a time. minutes: after which no further draw begins.
+    """
+    rows = (
+        pd.read_csv(path, keep_default_na=False, na_values="nan") if path.exists() else pd.DataFrame(columns=list(by))
+    )
+    have, began = set(rows[list(by)].itertuples(index=False, name=None)), time.monotonic()
+    for one, done in computed(function, [w for w in wanted if w not in have], processes, minutes):
+        new = pd.DataFrame(done.result())
+        rows = new if rows.empty else pd.concat([rows, new])
+        places = [rows[c] if values is None else rows[c].map(list(values).index) for c, values in order.items()]
+        rows = rows.iloc[np.lexsort(places[::-1])]
+        with write_into_place(path) as temporary:
+            rows.to_csv(temporary, index=False, na_rep="nan", lineterminator="\r\n")
+        print(f"{(time.monotonic() - began) / 60:7.1f} min  {', '.join(map(str, one))}", flush=True)
+    return rows
 
 
 def computed(

@@ -9,12 +9,11 @@ intervals, because margins may be infinite. Draws that are kept are not computed
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from benchmarks.draws import median
 from benchmarks.torque_loops import DEFAULT, Loop, assess
@@ -32,26 +31,17 @@ TOLERANCE = 0.2
 FIRST = 101
 
 
-@dataclass(frozen=True)
-class Row:
-    """An estimate in the loop in a draw: factor, ms, Hz, N·m; infinite margins are beyond what is tried."""
-
-    estimator: str
-    draw: int
-    gain_margin: float
-    delay_margin_ms: float
-    bandwidth: float
-    error: float
-
-
-def measured(name: str, draw: int) -> Row:
-    """One draw of one estimate."""
+def measured(name: str, draw: int) -> kept.Rows:
+    """One draw of one estimate: factor, ms, Hz, N·m; infinite margins are beyond what is tried."""
     scenario, folder = load_scenario("external_push")
     estimator = None if name in (NONE, SENSOR) else registry.get(name)
     loop = Loop(gain=0.0) if name == NONE else DEFAULT
     found = assess(scenario, folder, estimator, draw, TOLERANCE, loop)
-    values = (found.gain_margin, 1e3 * found.delay_margin, found.bandwidth, found.error)
-    return Row(name, draw, *(float(f"{v:.4g}") for v in values))
+    values = {
+        "gain_margin": found.gain_margin, "delay_margin_ms": 1e3 * found.delay_margin, "bandwidth": found.bandwidth,
+        "error": found.error,
+    }  # fmt: skip
+    return [{"estimator": name, "draw": draw} | {k: float(f"{v:.4g}") for k, v in values.items()}]
 
 
 def text(found: Interval, digits: int) -> str:
@@ -62,43 +52,38 @@ def text(found: Interval, digits: int) -> str:
     return shown[0] if np.isnan(found.low) else f"{shown[0]} [{shown[1]}, {shown[2]}]"
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: pd.DataFrame) -> str:
     """Medians over draws; the smallest error first."""
     cells = []
     for name in NAMES:
-        own = [r for r in rows if r.estimator == name]
-        if not own:
+        own = rows[rows.estimator == name]
+        if own.empty:
             continue
-        stable = [r for r in own if r.gain_margin >= 1.0]
-        error = median([r.error for r in stable])
+        stable = own[own.gain_margin >= 1.0]
+        error = median(stable.error)
         margins = (
             ("–", "–", "–")
             if name == NONE
             else (
                 f"{len(stable)} of {len(own)}",
-                text(median([r.gain_margin for r in own]), 1),
-                text(median([r.delay_margin_ms for r in own]), 1),
+                text(median(own.gain_margin), 1),
+                text(median(own.delay_margin_ms), 1),
             )
         )
-        row = (name, *margins, text(median([r.bandwidth for r in stable]), 0), text(error, 2))
+        row = (name, *margins, text(median(stable.bandwidth), 0), text(error, 2))
         cells.append((error.mean if np.isfinite(error.mean) else np.inf, row))
     heads = ("fed back", "stable", "gain margin", "delay margin [ms]", "bandwidth [Hz]", "error [N·m]")
     return markdown_table(heads, [row for _, row in sorted(cells, key=lambda cell: cell[0])])
 
 
-def figure(rows: Sequence[Row], path: Path) -> None:
+def figure(rows: pd.DataFrame, path: Path) -> None:
     """Draw gain margins and errors."""
     panels: dict[str, list[plots.Point]] = {"gain margin": [], "error [N·m]": []}
     for name in NAMES[1:]:
-        own = [r for r in rows if r.estimator == name]
-        panels["gain margin"].append((name, "", median([r.gain_margin for r in own])))
-        panels["error [N·m]"].append((name, "", median([r.error for r in own if r.gain_margin >= 1.0])))
+        own = rows[rows.estimator == name]
+        panels["gain margin"].append((name, "", median(own.gain_margin)))
+        panels["error [N·m]"].append((name, "", median(own.error[own.gain_margin >= 1.0])))
     plots.intervals(path, panels, "median over joints", log=False, shared=False)
-
-
-def write(path: Path, rows: Sequence[Row]) -> None:
-    """Keep rows, in order."""
-    kept.write(path, sorted(rows, key=lambda r: (NAMES.index(r.estimator), r.draw)), Row)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -108,13 +93,9 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "torque_control.csv")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "contact.md")
     asked = parser.parse_args(arguments)
-    rows, began = kept.read(asked.kept, Row), time.perf_counter()
-    have = {(r.estimator, r.draw) for r in rows}
-    for draw in range(FIRST, FIRST + asked.draws):
-        rows += [measured(name, draw) for name in NAMES if (name, draw) not in have]
-        write(asked.kept, rows)
-        print(f"{time.perf_counter() - began:7.0f} s  draw {draw}", flush=True)
-    draws = len({r.draw for r in rows})
+    wanted = [(name, draw) for draw in range(FIRST, FIRST + asked.draws) for name in NAMES]
+    rows = kept.completed(asked.kept, measured, wanted, ("estimator", "draw"), {"estimator": NAMES, "draw": None})
+    draws = rows.draw.nunique()
     about = (
         f"{draws} joints within tolerance ×{TOLERANCE:g}; torque loop gain {DEFAULT.gain:g}, impedance {DEFAULT.stiffness:g} "
         f"N·m/rad, {DEFAULT.damping:g} N·m·s/rad. Medians over draws with distribution-free 95 % intervals. Margins are found "

@@ -2,6 +2,7 @@
 
 import independent_plant as plant
 import numpy as np
+import pandas as pd
 import pytest
 
 import flexspline as fs
@@ -12,7 +13,7 @@ from flexspline.estimator import registry
 
 def ratios(seeds, imperfect, duration=None):
     """Geometric mean and largest of the ratio of `augmented`'s error to RAREKF's, from the description alone."""
-    rows = [row for seed in seeds for row in measured(seed, imperfect, duration, ("RAREKF", "augmented"))]
+    rows = pd.DataFrame(row for seed in seeds for row in measured(seed, imperfect, duration, ("RAREKF", "augmented")))
     own, reference = (error(rows, imperfect, name) for name in ("augmented", "RAREKF"))
     print(f"seeds {seeds}, imperfect {imperfect}: augmented {own}, RAREKF {reference} N·m")
     return geometric(own, reference).mean, np.max(own / reference)
