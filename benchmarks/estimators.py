@@ -10,15 +10,17 @@ without simulating again.
 from __future__ import annotations
 
 import argparse
-import csv
+import itertools
 import pickle
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from benchmarks.draws import DrawnExperiment, draw, geometric, rms
 from flexspline.estimator import registry
@@ -26,7 +28,7 @@ from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator
 from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.errors import InputError
-from flexspline.models.files import write_into_place
+from flexspline.models.files import write_into_place, write_rows
 from flexspline.scenarios.evaluation import metrics
 from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.scenarios.scenario import load_scenario
@@ -34,6 +36,7 @@ from flexspline.sim.loop import CONTROL_PERIOD
 
 from . import estimator_tables
 from .estimator_tables import OVERALL, REFERENCE, SCENARIOS
+from .kept import Rows
 from .pages import ROOT
 from .timing import alternately
 
@@ -45,25 +48,9 @@ NAMES = (
 """`inverse` is RAREKF with the reading `inverse` of Eq. (23)."""
 COSTLY_AT = (1.0, 0.0)
 """Tolerances at which the estimators that simulate the joint run; a second each, where the others take a hundredth."""
+MEASURES = ("rms", "moving", "resting", "nees", "response", "missed")
 APART = 0.25
 """Time [s] between errors that count for NEES."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """An estimator's errors in a draw: RMS [N·m] of all samples, moving, at rest; mean NEES; response to pushes [ms] and the
-    share of pushes that it misses."""
-
-    scenario: str
-    tolerance: float
-    seed: int
-    estimator: str
-    rms: float
-    moving: float
-    resting: float
-    nees: float = np.nan
-    response: float = np.nan
-    missed: float = np.nan
 
 
 def chosen(names: Iterable[str] = NAMES) -> dict[str, Estimator]:
@@ -109,64 +96,30 @@ def drawn(
     return found
 
 
-def assess(one: DrawnExperiment, scenario: str, tolerance: float, estimators: dict[str, Estimator]) -> list[Row]:
-    """Measure every estimator in a draw; infinity where it diverges."""
-    rows = []
+def assess(one: DrawnExperiment, scenario: str, tolerance: float, estimators: dict[str, Estimator]) -> Rows:
+    """Measure every estimator in a draw: RMS [N·m] of all samples, moving, at rest, infinity where it diverges; mean NEES;
+    response to pushes [ms] and the share of pushes that it misses."""
+    rows: Rows = []
     events = [(a, b) for a, b in metrics.pushes(one.external_torque, CONTROL_PERIOD) if one.kept[a]]
     for name, estimator in estimators.items():
+        row = {"scenario": scenario, "tolerance": tolerance, "estimator": name, "seed": one.seed}
+        rows.append(row | dict.fromkeys(MEASURES[:3], np.inf) | dict.fromkeys(MEASURES[3:], np.nan))
         try:
             found = estimator.estimate(one.signals, one.known)
         except FilterDiverged:
-            rows.append(Row(scenario, tolerance, one.seed, name, np.inf, np.inf, np.inf))
             continue
         error = found.mean - one.truth
-        nees = np.nan
+        parts = (one.kept, one.kept & one.moving, one.kept & ~one.moving)
+        rows[-1] |= {measure: rms(error, part) for measure, part in zip(MEASURES, parts, strict=False)}
         if found.variance is not None:
             apart = np.flatnonzero(one.kept)[:: round(APART / CONTROL_PERIOD)]
-            nees = float(np.mean(error[apart] ** 2 / found.variance[apart]))
-        response, missed = np.nan, np.nan
-        if events:
-            followed = metrics.responses(found.mean, one.truth, CONTROL_PERIOD, events)
-            missed = float(np.mean(np.isnan(followed))) if len(followed) else np.nan
-            response = 1e3 * float(np.nanmean(followed)) if missed < 1.0 else np.nan
-        rows.append(
-            Row(
-                scenario, tolerance, one.seed, name, rms(error, one.kept), rms(error, one.kept & one.moving),
-                rms(error, one.kept & ~one.moving), nees, response, missed,
-            )
-        )  # fmt: skip
+            rows[-1]["nees"] = np.mean(error[apart] ** 2 / found.variance[apart])
+        followed = metrics.responses(found.mean, one.truth, CONTROL_PERIOD, events) if events else np.empty(0)
+        if len(followed):
+            rows[-1]["missed"] = np.mean(np.isnan(followed))
+        if np.isfinite(followed).any():
+            rows[-1]["response"] = 1e3 * np.nanmean(followed)
     return rows
-
-
-class Results:
-    """All rows, by scenario, tolerance and estimator."""
-
-    def __init__(self, rows: Sequence[Row]):
-        self.rows = rows
-        self.names = [n for n in NAMES if any(r.estimator == n for r in rows)]
-        self.tolerances = [t for t in TOLERANCES if any(r.tolerance == t for r in rows)]
-        self._by: dict[tuple[str, float, str], list[Row]] = {}
-        for row in sorted(rows, key=lambda r: r.seed):
-            self._by.setdefault((row.scenario, row.tolerance, row.estimator), []).append(row)
-
-    def has(self, tolerance: float, name: str) -> bool:
-        """Whether an estimator has run at a tolerance."""
-        return (SCENARIOS[-1], tolerance, name) in self._by
-
-    def values(self, scenario: str, tolerance: float, name: str, measure: str = "rms") -> np.ndarray:
-        """A measure of every draw, shape (draws,), by seed."""
-        return np.array([getattr(row, measure) for row in self._by[scenario, tolerance, name]])
-
-    def ratio(self, scenario: str, tolerance: float, name: str, measure: str = "rms") -> Interval:
-        """Geometric mean of the ratio to RAREKF."""
-        return geometric(
-            self.values(scenario, tolerance, name, measure), self.values(scenario, tolerance, REFERENCE, measure)
-        )
-
-    def overall(self, tolerance: float, name: str) -> Interval:
-        """Likewise over the three experiments."""
-        both = [[self.values(s, tolerance, n) for s in SCENARIOS] for n in (name, REFERENCE)]
-        return geometric_over(*both)
 
 
 def geometric_over(values: Sequence[np.ndarray], reference: Sequence[np.ndarray]) -> Interval:
@@ -185,11 +138,10 @@ def write_cost(estimators: dict[str, Estimator], one: DrawnExperiment, path: Pat
     runs = {n: lambda estimator=e: estimator.estimate(part, one.known) for n, e in estimators.items()}
     cost = {name: 1e6 * timing.core / len(part.time) for name, timing in alternately(runs, 9).items()}
     rows = [
-        (name, f"{cost[name]:.2f}", f"{cost[name] / cost[REFERENCE]:.1f}")
-        for name in sorted(cost, key=cost.__getitem__)
+        {"estimator": name, "us": f"{us:.2f}", "ratio": f"{us / cost[REFERENCE]:.1f}"}
+        for name, us in sorted(cost.items(), key=lambda one: one[1])
     ]
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([("estimator", "us", "ratio"), *rows])
+    write_rows(path, rows)
 
 
 LOADS = (4.0, 9.0, 12.0)
@@ -204,56 +156,50 @@ def with_load(scenario: str, load: float) -> str:
     return f"{scenario}, {load:g} N·m"
 
 
-def load_rows(seeds: Iterable[int], kept: Path | None, threads: int) -> list[Row]:
-    """Measure the estimators with other loads than the scenarios'; leave out draws whose joint cannot bear the heaviest."""
-    estimators, rows = chosen(LOADED_NAMES), []
-
-    def one(seed: int) -> list[Row]:
-        try:
-            return [
-                row
-                for load in reversed(LOADS)
-                for tolerance in LOADED_AT
-                for s in LOADED
-                for row in assess(drawn(s, tolerance, seed, kept, load=load), with_load(s, load), tolerance, estimators)
-            ]
-        except InputError as error:
-            print(f"draw {seed} is left out: {error}", flush=True)
-            return []
-
+def measured(one: Callable[[int], Rows], seeds: Iterable[int], threads: int) -> pd.DataFrame:
+    """Rows of all draws, from several threads."""
     with ThreadPoolExecutor(threads) as pool:
-        for some in pool.map(one, seeds):
-            rows += some
-    return rows
+        return pd.DataFrame(row for some in pool.map(one, seeds) for row in some)
 
 
-MEASURES = ("rms", "moving", "resting", "nees", "response", "missed")
+def with_loads(seed: int, kept: Path | None) -> Rows:
+    """Measure the estimators with other loads than the scenarios'; a joint that cannot bear the heaviest is left out."""
+    estimators = chosen(LOADED_NAMES)
+    try:
+        return [
+            row
+            for load in reversed(LOADS)
+            for tolerance in LOADED_AT
+            for s in LOADED
+            for row in assess(drawn(s, tolerance, seed, kept, load=load), with_load(s, load), tolerance, estimators)
+        ]
+    except InputError as error:
+        print(f"draw {seed} is left out: {error}", flush=True)
+        return []
 
 
-def write_csv(results: Results, path: Path) -> None:
+def write_csv(rows: pd.DataFrame, path: Path) -> None:
     """Means over draws and the ratio, each with its interval, a line for each scenario, tolerance and estimator; the ratio over
     all three experiments in separate lines."""
 
-    def cells(found: Interval) -> list[str]:
-        return ["" if np.isnan(x) else f"{x:.5g}" for x in (found.mean, found.low, found.high)]
+    def line(scenario: str, tolerance: float, name: str, **found: Interval) -> dict[str, Any]:
+        cells = {"scenario": scenario, "tolerance": f"{tolerance:g}", "estimator": name, "draws": found["ratio"].n}
+        for measure, value in found.items():
+            for end, x in (("", value.mean), ("_low", value.low), ("_high", value.high)):
+                cells[f"{measure}{end}"] = "" if np.isnan(x) else f"{x:.5g}"
+        return cells
 
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        heads = ["scenario", "tolerance", "estimator", "draws"]
-        for measure in ("ratio", *MEASURES):
-            heads += [measure, f"{measure}_low", f"{measure}_high"]
-        writer.writerow(heads)
-        for (scenario, tolerance, name), rows in results._by.items():
-            line = [scenario, f"{tolerance:g}", name, str(len(rows)), *cells(results.ratio(scenario, tolerance, name))]
-            for measure in MEASURES:
-                values = results.values(scenario, tolerance, name, measure)
-                line += cells(interval(values[np.isfinite(values)])) if np.isfinite(values).any() else [""] * 3
-            writer.writerow(line)
-        for tolerance in results.tolerances:
-            for name in (n for n in results.names if results.has(tolerance, n)):
-                found = results.overall(tolerance, name)
-                blank = [""] * 3 * len(MEASURES)
-                writer.writerow([OVERALL, f"{tolerance:g}", name, found.n, *cells(found), *blank])
+    of = dict(list(rows.sort_values("seed", kind="stable").groupby(["scenario", "tolerance", "estimator"], sort=False)))
+    lines = [
+        line(*key, ratio=geometric(own.rms, of[*key[:2], REFERENCE].rms), **{m: interval(own[m]) for m in MEASURES})
+        | {"draws": len(own)}
+        for key, own in of.items()
+    ]
+    for tolerance, name in itertools.product(TOLERANCES, NAMES):
+        if all((s, tolerance, name) in of for s in SCENARIOS):
+            own, reference = ([of[s, tolerance, n].rms for s in SCENARIOS] for n in (name, REFERENCE))
+            lines.append(line(OVERALL, tolerance, name, ratio=geometric_over(own, reference)))
+    write_rows(path, lines)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -280,7 +226,7 @@ def run(asked: argparse.Namespace) -> None:
     """Run every estimator over the draws of one kind and write the CSV next to the page."""
     folder, seeds = asked.page.parent, range(101, 101 + asked.seeds)
     if asked.loads:
-        found = Results(load_rows(seeds, asked.draws, asked.threads))
+        found = measured(partial(with_loads, kept=asked.draws), seeds, asked.threads)
         write_csv(found, folder / "estimators_loads.csv")
         return
     if asked.cost:
@@ -288,33 +234,18 @@ def run(asked: argparse.Namespace) -> None:
         write_cost(chosen(), some, folder / "estimators_cost.csv")
         return
     name = "estimators_offset" if asked.offset else "estimators_realistic" if asked.realistic else "estimators"
-    rows, began = [], time.perf_counter()
+    rows, began = pd.DataFrame(), time.perf_counter()
+    changes = REALISTIC if asked.realistic else ()
     for costly in (False,) if asked.offset else (False, True):
         some = {n: one for n, one in chosen().items() if one.costly == costly}
-        for tolerance in OFFSET_AT if asked.offset else asked.tolerances:
+        for tolerance, scenario in itertools.product(OFFSET_AT if asked.offset else asked.tolerances, SCENARIOS):
             if costly and tolerance not in COSTLY_AT:
                 continue
-            for scenario in SCENARIOS:
-                changes = REALISTIC if asked.realistic else ()
-                rows += _rows(scenario, tolerance, seeds, some, asked.draws, asked.threads, changes, not asked.offset)
-                print(f"{time.perf_counter() - began:7.0f} s  tolerance ×{tolerance:g}, {scenario}", flush=True)
-        write_csv(Results(rows), folder / f"{name}.csv")
 
+            def one(seed: int, scenario: str = scenario, tolerance: float = tolerance, some: dict = some) -> Rows:
+                found = drawn(scenario, tolerance, seed, asked.draws, changes, zero_known=not asked.offset)
+                return assess(found, scenario, tolerance, some)
 
-def _rows(
-    scenario: str,
-    tolerance: float,
-    seeds: Iterable[int],
-    estimators: dict[str, Estimator],
-    kept: Path | None,
-    threads: int,
-    changes: Sequence[str] = (),
-    zero_known: bool = True,
-) -> list[Row]:
-    def one(seed: int) -> list[Row]:
-        return assess(
-            drawn(scenario, tolerance, seed, kept, changes, zero_known=zero_known), scenario, tolerance, estimators
-        )
-
-    with ThreadPoolExecutor(threads) as pool:
-        return [row for several in pool.map(one, seeds) for row in several]
+            rows = pd.concat([rows, measured(one, seeds, asked.threads)])
+            print(f"{time.perf_counter() - began:7.0f} s  tolerance ×{tolerance:g}, {scenario}", flush=True)
+        write_csv(rows, folder / f"{name}.csv")
