@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flexspline.models.files import write_into_place
+from flexspline.models.files import write_text
 from flexspline.scenarios.evaluation.intervals import Interval, interval
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,5 +45,4 @@ def fill(page: Path, tables: dict[str, str]) -> None:
             raise SystemExit(f"{page}: expected the markers {begin} and {end}")
         pattern = re.escape(begin) + ".*?" + re.escape(end)
         whole = re.sub(pattern, lambda _, t=table, b=begin, e=end: f"{b}\n{_wrapped(t)}\n{e}", whole, flags=re.DOTALL)
-    with write_into_place(page) as temporary:
-        temporary.write_text(whole, encoding="utf-8")
+    write_text(page, whole)

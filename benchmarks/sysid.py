@@ -41,7 +41,7 @@ from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.trials.motions import CONTROLLER
 from flexspline.models import laws
 from flexspline.models.calibration import Calibration
-from flexspline.models.files import write_into_place
+from flexspline.models.files import write_text
 from flexspline.models.joint import load_joint, shipped
 from flexspline.models.parameters import as_floats
 from flexspline.models.pointers import floats_at, word_at
@@ -500,8 +500,7 @@ def read(path: Path) -> list[Fitted]:
 def write(path: Path, fits: Sequence[Fitted]) -> None:
     """Keep fits, sorted."""
     ordered = sorted(fits, key=lambda f: (f.hidden, f.draw, TOOLS.index(f.tool)))
-    with write_into_place(path) as temporary:
-        temporary.write_text(json.dumps([asdict(f) for f in ordered], indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps([asdict(f) for f in ordered], indent=1) + "\n")
 
 
 def _warm_up() -> None:

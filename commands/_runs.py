@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..models.errors import InputError
+from ..models.errors import check_each_once
 from ._console import progress
 
 if TYPE_CHECKING:
@@ -35,15 +35,8 @@ def load_all(names: list[str], changes: list[str] | None) -> list[tuple[Scenario
     from ..scenarios.scenario import load_scenario
 
     loaded = [load_scenario(name, changes) for name in names]
-    check_each_once([scenario.name for scenario, _ in loaded])
+    check_each_once([scenario.name for scenario, _ in loaded], "scenarios")
     return loaded
-
-
-def check_each_once(names: list[str]) -> None:
-    """Refuse a scenario that is named twice."""
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise InputError(f"scenario {name}: expected each scenario once, got it twice")
 
 
 def run_all(
@@ -56,7 +49,7 @@ def run_all(
     from ..scenarios.run_folder import save_run
 
     loaded = [load_any(name, changes, seed) for name in names]
-    check_each_once([scenario.name for scenario, _ in loaded])
+    check_each_once([scenario.name for scenario, _ in loaded], "scenarios")
     for scenario, source in loaded:
         _check(scenario, source, out)
     views = [view for view, wanted in ((_draw_figures, figures), (_write_recording, recording)) if wanted]

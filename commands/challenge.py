@@ -148,7 +148,7 @@ def command(
 def _record(path: Path, challenge: Challenge) -> None:
     """Write the recordings of the first draw, and what is hidden in them."""
     from ..diagnosis.trials.draw import draw
-    from ..models.files import json_text
+    from ..models.files import write_json
     from ..models.recording import write_recording
 
     with output_folder(path, "challenge", whole=True) as folder:
@@ -156,7 +156,7 @@ def _record(path: Path, challenge: Challenge) -> None:
         for recording in drawn.measurement.recordings:
             write_recording(recording, folder)
         hidden = [{"name": e.name, "parameters": e.values, "description": e.description} for e in drawn.effects]
-        (folder / "hidden.json").write_text(json_text(hidden) + "\n", encoding="utf-8")
+        write_json(folder / "hidden.json", hidden)
 
 
 def _sizes(text: str) -> tuple[float, ...]:
@@ -250,9 +250,9 @@ def _write(path: Path, outcomes: Sequence[Outcome]) -> None:
     with output_folder(path.parent, "challenge") as folder:
         temporary = folder / path.name
         if path.suffix == ".json":
-            from ..models.files import json_text
+            from ..models.files import write_json
 
-            temporary.write_text(json_text(score.report(outcomes)) + "\n", encoding="utf-8")
+            write_json(temporary, score.report(outcomes))
             return
         import pyarrow as pa
         import pyarrow.parquet as pq

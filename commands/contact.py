@@ -56,7 +56,7 @@ def command(
     with drawn pushes. Every run has another joint within tolerance, another motion and other noise.
     """
     from ..models import plugins
-    from ..models.files import json_text, write_rows
+    from ..models.files import write_json, write_rows
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import contact
     from ..scenarios.filters import estimators
@@ -90,7 +90,7 @@ def command(
         from ..views.limit_figures import save_figure
 
         with output_folder(out, "contact") as new:
-            (new / "contact.json").write_text(json_text(answer), encoding="utf-8")
+            write_json(new / "contact.json", answer)
             write_rows(new / "contact.csv", list(found.curves))
             (new / "contact.md").write_text(contact_views.contact_markdown(answer), encoding="utf-8")
             save_figure(contact_views.contact_figure(found.curves, loaded.name), new / "contact.png")

@@ -48,7 +48,7 @@ def command(
 
     Writes `joint.yaml`, the description with the causes in it, `diagnosis.json`, and a report.
     """
-    from ..models.files import json_text
+    from ..models.files import write_json
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, output_folder
     from ._console import console, stages
@@ -89,7 +89,7 @@ def command(
         give_back_free_pages()
         with output_folder(out, "diagnose", whole=True) as folder:
             answer = {"format": 1, **found.to_json()}
-            (folder / "diagnosis.json").write_text(json_text(answer) + "\n", encoding="utf-8")
+            write_json(folder / "diagnosis.json", answer)
             found.extended.write(folder / "joint.yaml")
             from ..views.report import Report
 

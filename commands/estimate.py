@@ -54,7 +54,7 @@ def command(
     from ..diagnosis.regression import contradictions, regressions
     from ..estimator import registry
     from ..estimator.offline import beyond_range, estimate_recording, lacking, score, useless, write_estimates
-    from ..models.files import json_text
+    from ..models.files import write_json
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
     from ._console import console
@@ -110,7 +110,7 @@ def command(
                 if scores:
                     lines[recording.name].append((_table(recording, scores, found.untrusted), ""))
                 lines[recording.name] += [(f"{recording.name}: {text}", style) for text, style in _remarks(poor, one)]
-        (folder / "metrics.json").write_text(json_text(report) + "\n", encoding="utf-8")
+        write_json(folder / "metrics.json", report)
     if as_json:
         return report
     terminal = console()

@@ -83,9 +83,8 @@ def _joint(
     as_json: bool,
 ) -> Any:
     from ..models.errors import InputError, read_text
-    from ..models.files import json_text
+    from ..models.files import write_json, write_text
     from ..models.joint import load_joint
-    from ..models.output import write_whole
     from ..views.simulator_files import TARGETS, heading, put_into, written
 
     if to not in TARGETS:
@@ -126,11 +125,9 @@ def _joint(
     else:
         text = put_into(text, found, name, notes, str(into))
     drawn = out.with_name(f"{out.name}.draws.json")
-    with write_whole(out) as file:
-        file.write_text(text, encoding="utf-8")
+    write_text(out, text)
     if draws:
-        with write_whole(drawn) as file:
-            file.write_text(json_text({"format": 1, "seed": seed, "draws": list(found.draws)}) + "\n", encoding="utf-8")
+        write_json(drawn, {"format": 1, "seed": seed, "draws": list(found.draws)})
     if as_json:
         return found.to_json() | {"file": str(out)} | ({"draws": str(drawn)} if draws else {})
     from ._console import console

@@ -32,7 +32,7 @@ def command(
     from ..estimator import registry
     from ..estimator.estimator import CausalEstimator, KnownJoint
     from ..estimator.export_c import header
-    from ..models.files import write_into_place
+    from ..models.files import write_text
     from ..models.joint import load_joint
     from ._console import console
 
@@ -47,6 +47,5 @@ def command(
         raise InputError(f"estimator {name!r}: expected a causal estimator, got a smoother")
     text = header(estimator, known, interval)
     path = Path(f"{name.lower()}.h") if out is None else out
-    with write_into_place(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
     console().print(f"{path}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..models.errors import InputError, InputWarning
+from ..models.errors import InputError, InputWarning, check_each_once
 from ._listing import AsJson
 from ._measurement import read_measurement_files
 from ._options import with_plugins
@@ -198,7 +198,7 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
             raise InputError(f"expected measurements of one joint, or --joint, got {' and '.join(joints)}")
         home = here
         inputs = [file for m in read for file in m.files]
-    _each_once([r.name for r in found])
+    check_each_once([r.name for r in found], "recordings")
     return Measurement(found[0].name, home, tuple(found)), home, inputs
 
 
@@ -248,12 +248,6 @@ def _is_mapping(path: Path) -> bool:
 def _has_other_half(path: Path) -> bool:
     other = (".yaml",) if path.suffix == ".csv" else (".csv", ".parquet")
     return any(path.with_suffix(suffix).is_file() for suffix in other)
-
-
-def _each_once(names: list[str]) -> None:
-    for stem in names:
-        if names.count(stem) > 1:
-            raise InputError(f"recording {stem!r}: expected each name once, got it {names.count(stem)} times")
 
 
 def _relative_joint(joint: str, home: Path, out: Path) -> str:

@@ -61,12 +61,11 @@ def write_page(folders: Sequence[Path], out: Path) -> None:
     Raises:
       InputError: a folder with other content; another file in place of the page.
     """
-    from ..models.files import write_into_place
+    from ..models.files import write_text
 
     _check(out)
     page = _page(folders)
-    with write_into_place(out) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(out, page)
 
 
 def _check(out: Path) -> None:

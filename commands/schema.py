@@ -37,7 +37,7 @@ def command(
 
     The first line `# yaml-language-server: $schema=scenario.schema.json` assigns it to a file.
     """
-    from ..models.files import json_text
+    from ..models.files import write_json
 
     if kind not in ("", *KINDS):
         raise InputError(f"kind {kind!r}: expected one of {', '.join(KINDS)}{nearest(kind, KINDS)}")
@@ -50,7 +50,7 @@ def command(
     names = {f"{one}.schema.json": one for one in ([kind] if kind else KINDS)}
     with output_folder(out, "schema", writes=list(names)) as folder:
         for name, one in names.items():
-            (folder / name).write_text(json_text(schema_of(one)) + "\n", encoding="utf-8")
+            write_json(folder / name, schema_of(one))
     for name in names:
         print(out / name)
 

@@ -27,7 +27,7 @@ def command(
     """Compare a measurement with the prediction of a joint's description; nothing is fitted."""
     from ..models.command_lines import mending
     from ..models.errors import InputWarning
-    from ..models.files import json_text
+    from ..models.files import write_json
     from ..models.output import check_output, made_from, output_folder
     from ..models.tables import write_table
     from ._console import console
@@ -43,7 +43,7 @@ def command(
     found = validate(data, described)
     answer = found.to_json() | {"measurement": str(measurement), "description": joint or data.recordings[0].joint}
     with output_folder(out, maker, inputs=data.files, writes=names) as folder:
-        (folder / "validation.json").write_text(json_text(answer) + "\n", encoding="utf-8")
+        write_json(folder / "validation.json", answer)
         for recording in found.recordings:
             write_table(folder / f"{recording.name}.parquet", recording.columns, recording.column_units)
     if not found.residual:

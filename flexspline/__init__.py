@@ -677,14 +677,11 @@ def _several(
     scenarios: str | Path | Scenario | Sequence[str | Path | Scenario], seed: int | None, changes: Mapping[str, Any]
 ) -> list[tuple[Scenario, Path | None]]:
     """Scenarios with changes, each of another name, with the folders of their files."""
-    from .models.errors import InputError
+    from .models.errors import check_each_once
 
     several = [scenarios] if isinstance(scenarios, str) or not isinstance(scenarios, Sequence) else scenarios
     asked = [_scenario(one, seed, changes) for one in several]
-    names = [scenario.name for scenario, _ in asked]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"scenario {name}: expected each scenario once, got it twice")
+    check_each_once([scenario.name for scenario, _ in asked], "scenarios")
     return asked
 
 

@@ -18,7 +18,7 @@ from .catalogue import Gear, gear
 from .characteristics import drive_gains
 from .controller import Controller
 from .errors import InputError, nearest
-from .files import check_name, write_into_place, yaml_text
+from .files import check_name, write_text, yaml_text
 from .gear_sheet import GearFit, GearSheet, fit, hysteresis
 from .joint import Joint, as_joint
 from .joint_mjcf import mjcf_text
@@ -281,8 +281,7 @@ def write_joint(joint: Joint, path: Path) -> tuple[Path, Path]:
     """
     mjcf = path.parent / joint.model
     for target, text in ((mjcf, mjcf_text(joint)), (path, _text(joint))):
-        with write_into_place(target) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(target, text)
     return path, mjcf
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 LARGEST_TEXT = 10_000_000
@@ -76,3 +76,15 @@ def read_text(path: Path, what: str, largest: int = LARGEST_TEXT) -> str:
         raise InputError(f"{path}:{line}: cannot read {what}: not UTF-8 text") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot read {what}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def check_each_once(names: Sequence[str], what: str) -> None:
+    """Refuse names of which one is given more than once.
+
+    Raises:
+      InputError: `what` they are, and the first such name.
+    """
+    for name in names:
+        if (count := names.count(name)) > 1:
+            times = "twice" if count == 2 else f"{count} times"
+            raise InputError(f"{what}: expected each once, got {name!r} {times}")

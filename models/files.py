@@ -230,6 +230,21 @@ def json_text(data: Any) -> str:
     return json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False)
 
 
+def write_json(path: Path, data: Any) -> None:
+    """Write data as `json_text`."""
+    write_text(path, json_text(data) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, moved into place when it is complete.
+
+    Raises:
+      InputError: it cannot be written.
+    """
+    with write_into_place(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _finite(v) for k, v in value.items()}

@@ -16,7 +16,7 @@ from . import causes, units
 from .controller import Controller
 from .errors import InputError, InputWarning, is_there, nearest
 from .faults import contradictions, unlike_mjcf
-from .files import Strict, load, parse, place, write_into_place, yaml_text
+from .files import Strict, load, parse, place, write_into_place, write_text, yaml_text
 from .joint_parts import (
     UNREAD,
     Discrepancy,
@@ -310,8 +310,7 @@ class Joint(Strict):
         path = Path(path)
         self._copy_mjcf(path.parent)
         data = self.model_dump(exclude_none=True, exclude_defaults=False, mode="json")
-        with write_into_place(path) as temporary:
-            temporary.write_text(yaml_text(data, rows=True), encoding="utf-8")
+        write_text(path, yaml_text(data, rows=True))
 
     def _copy_mjcf(self, folder: Path) -> None:
         mjcf = self.mjcf

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
 
@@ -10,7 +9,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from . import causes, units
-from .errors import nearest, unknown_key
+from .errors import check_each_once, nearest, unknown_key
 from .files import Strict
 from .parameters import N_COEFFICIENTS, PLACES, VARIABLES
 from .signals import CHANNELS, Channel
@@ -409,11 +408,7 @@ class Uncertainty(Strict):
 
     @model_validator(mode="after")
     def _triangular(self) -> Uncertainty:
-        for name, times in Counter(self.names).items():
-            if times > 1:
-                raise ValueError(
-                    f"names: expected each once, got {name!r} {'twice' if times == 2 else f'{times} times'}"
-                )
+        check_each_once(self.names, "names")
         if [len(row) for row in self.factor] != list(range(1, len(self.names) + 1)):
             raise ValueError(f"factor: expected the {len(self.names)} rows of a lower triangle, a row a name")
         return self

@@ -24,7 +24,7 @@ from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
 from .chunks import BLOCK, large
 from .errors import InputError, InputWarning, nearest
-from .files import Strict, check_name, load, write_into_place, yaml_text
+from .files import Strict, check_name, load, write_into_place, write_text, yaml_text
 from .joint import Joint, load_joint
 from .joint_parts import Mounting
 from .notebook import html_table, paragraph
@@ -479,16 +479,14 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     if arm is not None and sidecar.arm is not None:
         if not data["arm"]["payloads"]:
             del data["arm"]["payloads"]
-        with write_into_place(folder / sidecar.arm.model) as temporary:
-            temporary.write_text(arm.mjcf, encoding="utf-8")
+        write_text(folder / sidecar.arm.model, arm.mjcf)
     text = yaml_text(data)
     columns = ordered(recording)
     notes = {"flexspline.fixed": "; ".join(recording.fixed)} if recording.fixed else {}
     with write_into_place(path) as temporary:
         units_of = {name: _unit(name) for name in columns}
         write_table(temporary, columns, units_of, metadata={_WRITTEN: _digest(text), **notes})
-    with write_into_place(path.with_suffix(".yaml")) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path.with_suffix(".yaml"), text)
     return path
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models import own_sensors
 from ..models.errors import InputError
-from ..models.files import json_text, load, yaml_text
+from ..models.files import load, write_json, yaml_text
 from ..models.output import check_output, output_folder, recover
 from ..models.recording import write_recording
 from ..models.signals import READINGS, SENSED
@@ -66,13 +66,13 @@ def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | Non
 
 def _describe(run: Run, folder: Path) -> None:
     """Write the files of a run's folder that are not tables."""
-    (folder / "metrics.json").write_text(json_text(run.metrics), encoding="utf-8")
+    write_json(folder / "metrics.json", run.metrics)
     run.joint.write(folder / "joint.yaml")
     run.known_joint.write(folder / "known_joint.yaml")
     data = run.scenario.model_dump(mode="json", exclude_none=True)
     data["joint"], data["known_joint"], data["plant"], data["sensors"] = "joint.yaml", "known_joint.yaml", {}, {}
     (folder / "scenario.yaml").write_text(yaml_text(data), encoding="utf-8")
-    (folder / "run.json").write_text(json_text(provenance(run)), encoding="utf-8")
+    write_json(folder / "run.json", provenance(run))
 
 
 def check_run_folder(scenario: Scenario, source: Path, out: Path, within: Path) -> None:

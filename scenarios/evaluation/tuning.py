@@ -22,7 +22,7 @@ from ...estimator.errors import FilterDiverged
 from ...estimator.estimator import Estimator
 from ...estimator.tuning_parameters import value_of, with_values
 from ...models.errors import InputError
-from ...models.files import write_into_place, yaml_text
+from ...models.files import write_text, yaml_text
 from ..filters import FilterEntry
 from ..run import Run, simulate_scenario
 from ..scenario import Scenario
@@ -336,8 +336,7 @@ class Tuning:
     def write(self, path: Path) -> None:
         """Write `tuned.yaml`."""
         text = "# Found by `flexspline tune`. rms: default, tuned [N·m]. `filters` can be copied into a scenario.\n"
-        with write_into_place(path) as temporary:
-            temporary.write_text(text + yaml_text(self.to_json()), encoding="utf-8")
+        write_text(path, text + yaml_text(self.to_json()))
 
 
 def tune_all(

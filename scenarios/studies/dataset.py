@@ -9,7 +9,6 @@ folders' names.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +22,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from ...models.errors import InputError
-from ...models.files import check_format, read_json, write_into_place
+from ...models.files import check_format, read_json, write_into_place, write_json
 from ...models.output import MANIFEST
 from ...models.tables import reading_parquet
 from .design import Design
@@ -99,10 +98,8 @@ class Dataset:
                 if source == before.get("source", ""):
                     return cls(folder, design)
                 seeds, study = before["seeds"], before["study"]
-        with write_into_place(note) as temporary:
-            text = {"format": 1, "digest": design.digest, "versions": versions, "seeds": seeds, "study": study}
-            text |= {"source": source} if source else {}
-            temporary.write_text(json.dumps(text, indent=1, ensure_ascii=False), encoding="utf-8")
+        text = {"format": 1, "digest": design.digest, "versions": versions, "seeds": seeds, "study": study}
+        write_json(note, text | ({"source": source} if source else {}))
         return cls(folder, design)
 
     @contextmanager

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from ...models import causes
-from ...models.errors import InputError, nearest
+from ...models.errors import InputError, check_each_once, nearest
 from ...models.files import Strict, find, load, shown
 from ..filters import FilterEntry, paper_entries, parameters_of
 
@@ -184,9 +184,7 @@ class Study(Strict):
     @model_validator(mode="after")
     def _consistent(self) -> Study:
         names = self.names
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"filters: expected each name once, got {name!r} twice")
+        check_each_once(names, "filters")
         if self.reference not in ("", *names):
             raise ValueError(
                 f"reference: expected one of {names}, got {self.reference!r}{nearest(self.reference, names)}"

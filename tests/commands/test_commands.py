@@ -227,7 +227,7 @@ def test_unreadable_mjcf(flexspline, tmp_path, content, expected):
         (["no_load", "--set", "plant.T2=1"], "expected T2 ≥ T1"),
         (["no_load", "--set", "mounting=lnik"], "did you mean 'link'?"),
         (["no_load", "--set", "joint=test-jont"], "did you mean 'test-joint'?"),
-        (["no_load", "no_load"], "expected each scenario once, got it twice"),
+        (["no_load", "no_load"], "scenarios: expected each once, got 'no_load' twice"),
         (["no_load", "missing.yaml"], "expected a path or one of"),
         (
             ["no_load", "--set", "filters.0.V=0"],

@@ -17,7 +17,7 @@ import numpy as np
 from ...models import causes, plugins
 from ...models.characteristics import drive_gains
 from ...models.command_lines import checking, mending
-from ...models.files import write_into_place
+from ...models.files import write_text
 from ..advice import advice, parameter_text
 from ..glossary import meaning, pieces
 from ..numbers import number, percent, with_std
@@ -75,8 +75,7 @@ def write_report(report: Report, path: Path) -> Path:
     Raises:
       InputError: the file cannot be written.
     """
-    with write_into_place(path) as temporary:
-        temporary.write_text(html(report), encoding="utf-8")
+    write_text(path, html(report))
     return path
 
 
