@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from ..estimator.offline import Estimates, Score
-    from ..models.joint import Joint
+    from ..estimator.scoring import Score
     from ..models.recording import Measurement, Recording
 
 EXAMPLES = (
@@ -53,7 +52,8 @@ def command(
     from ..diagnosis.data.mistakes import require_sound
     from ..diagnosis.regression import contradictions, regressions
     from ..estimator import registry
-    from ..estimator.offline import beyond_range, estimate_recording, lacking, score, useless, write_estimates
+    from ..estimator.offline import beyond_range, estimate_recording, lacking, write_estimates
+    from ..estimator.scoring import no_estimates, score
     from ..models.files import write_json
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
@@ -92,10 +92,7 @@ def command(
                 text = f"{recording.name}: {column}: {what}: nothing is scored against it"
                 warnings.warn(text, InputWarning, stacklevel=2)
             scores = {k: v for k, v in score(recording, found, described).items() if k not in wrong}
-            poor = {
-                what: (f"{what.replace('_', ' ')} is {own:.3g} N·m (RMS)", worse)
-                for what, (own, worse) in useless(recording, scores).items()
-            } | _imagined(recording, described, found, scores)
+            poor = no_estimates(recording, found, described, scores)
             one = report[recording.name] = {
                 "joint": described.name,
                 "notes": found.notes,
@@ -135,23 +132,6 @@ def _check_samples(path: Path, data: Measurement) -> None:
         if all(recording.sparse for recording in data.recordings):
             got = f"{len(one.gaps)} gaps of more than {one.gap:.2g} s among {len(one.time)} samples"
         raise InputError(f"{path}: expected a part without gaps of {SHORTEST} samples at least, got {got}")
-
-
-def _imagined(
-    recording: Recording, joint: Joint, found: Estimates, scores: dict[str, dict[str, Score]]
-) -> dict[str, tuple[str, dict[str, float]]]:
-    """Return estimators with a false external torque of more than half of the joint torque, or of 5 % of the rated torque: text
-    with the joint torque, and their errors."""
-    import numpy as np
-
-    if recording.external != "none" or not found.torque:
-        return {}
-    torques = [recording["joint_torque"]] if "joint_torque" in recording else list(found.torque.values())
-    own = float(np.median([np.sqrt(np.nanmean(np.square(torque))) for torque in torques]))
-    least = max(own, 0.1 * joint.numbers["rated_torque"].value)
-    worse = {name: s.rms for name, s in scores.get("external_torque", {}).items() if s.rms > 0.5 * least}
-    text = f"there was no external torque, and the joint torque is {own:.3g} N·m (RMS)"
-    return {"external_torque": (text, worse)} if worse else {}
 
 
 def _missing(recording: Recording, name: str, why: str) -> InputError:

@@ -68,7 +68,7 @@ _ROBUST = 1.4826  # standard deviation of normal errors over their median
 _UNMODELLED = 0.03  # unmodelled friction, as a share of the current's torque
 _MOST, _CONTRADICTS = 0.75, 2.5  # share of the motion, and standard deviations, that contradict the described load
 _TORSION = 10.0  # times its uncertainty by which torsion contradicts the current
-_MOVING = 2.5  # Stribeck velocities of the motor above which it is in motion
+MOVING = 2.5  # Stribeck velocities of the motor above which it is in motion
 
 
 @dataclass(frozen=True)
@@ -167,17 +167,6 @@ class Estimates:
                     half = SIGMAS * deviation[name][samples]
                     columns[f"{what}_{name}_low"], columns[f"{what}_{name}_high"] = some - half, some + half
         return columns
-
-
-@dataclass(frozen=True)
-class Score:
-    """Error of an estimate against the measurement [N·m]: all samples, samples in motion (NaN if there are none),
-    mean, largest."""
-
-    rms: float
-    rms_moving: float
-    mean: float
-    max: float
 
 
 def estimate_recording(
@@ -328,7 +317,7 @@ def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
         if segment.stop - segment.start < SHORTEST:
             continue
         motion, load = motion_and_load(recording.signals.part(segment), known)
-        moving = np.abs(motion.motor_velocity) > _MOVING * known.p["vs"]
+        moving = np.abs(motion.motor_velocity) > MOVING * known.p["vs"]
         motions.append(np.stack([motion.link_position, motion.link_velocity, load])[:, moving])
     return joint.valid.beyond(*np.concatenate(motions, axis=1)) if motions else {}
 
@@ -372,67 +361,6 @@ def _estimate(
     done = each(alone, one) | each(others, one, min(threads, 2) if long else threads)
     reasons |= {name: str(found) for name, found in done.items() if isinstance(found, Exception)}
     return {name: found for name, found in done.items() if not isinstance(found, Exception)}, reasons
-
-
-def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str, dict[str, Score]]:
-    """Score estimates against measured quantities.
-
-    Returns:
-      `joint_torque` (with a sensor) and `external_torque` (if measured, or known to be zero): estimator → score.
-        Friction at rest is unknown up to its level, hence the score in motion (motor faster than 2.5 Stribeck
-        velocities).
-    """
-    N = joint.numbers["N"].value
-    motor = recording["motor_position"] if "motor_position" in recording else N * recording["link_position"]
-    moving = np.abs(np.gradient(motor, recording.time)) > _MOVING * joint.numbers["vs"].value
-    truths: dict[str, tuple[np.ndarray, Mapping[str, np.ndarray]]] = {}
-    if "joint_torque" in recording:
-        truths["joint_torque"] = (recording["joint_torque"], estimates.torque)
-    if recording.external == "measured":
-        truths["external_torque"] = (recording["external_torque"], estimates.external_torque)
-    elif recording.external == "none":
-        truths["external_torque"] = (np.zeros(len(recording.time)), estimates.external_torque)
-    return {
-        what: {name: _score(values - truth, moving) for name, values in found.items()}
-        for what, (truth, found) in truths.items()
-    }
-
-
-_USELESS = 0.5
-"""Error as a share of a torque's own RMS from which an estimate is useless."""
-
-
-def useless(
-    recording: Recording, scores: Mapping[str, Mapping[str, Score]]
-) -> dict[str, tuple[float, dict[str, float]]]:
-    """Return the estimators whose error is more than half of a measured quantity, by quantity, if there are any.
-
-    Returns:
-      quantity → its own RMS, and RMS error by estimator [N·m].
-    """
-    found = {}
-    for what, by_name in scores.items():
-        truth = recording.columns.get(what)
-        if truth is None:  # known to be zero
-            continue
-        own = float(np.sqrt(np.mean(truth**2)))
-        worse = {name: s.rms for name, s in by_name.items() if s.rms > _USELESS * own}
-        if worse:
-            found[what] = own, worse
-    return found
-
-
-def _score(error: np.ndarray, moving: np.ndarray) -> Score:
-    good = np.isfinite(error)
-    if not good.any():
-        return Score(*[float("nan")] * 4)
-    inside, error = error[good & moving], error[good]
-    return Score(
-        rms=float(np.sqrt(np.mean(error**2))),
-        rms_moving=float(np.sqrt(np.mean(inside**2))) if len(inside) else float("nan"),
-        mean=float(np.mean(error)),
-        max=float(np.max(np.abs(error))),
-    )
 
 
 def write_estimates(estimates: Estimates, folder: Path) -> Path:
@@ -515,7 +443,7 @@ def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: 
     """
     p, known = joint.p, joint.spread
     w = motion.motor_velocity
-    moving = np.abs(w) > _MOVING * p["vs"]
+    moving = np.abs(w) > MOVING * p["vs"]
     if not moving.any():
         return 0.0
     off = np.abs(torque - own)[moving]

@@ -16,7 +16,8 @@ from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.validate import validate
-from flexspline.estimator.offline import estimate_recording, score
+from flexspline.estimator.offline import estimate_recording
+from flexspline.estimator.scoring import score
 from flexspline.models import laws
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement

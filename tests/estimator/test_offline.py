@@ -21,11 +21,11 @@ from flexspline.estimator.offline import (
     estimate_recording,
     lacking,
     prepare,
-    score,
     track_zero,
     write_estimates,
 )
 from flexspline.estimator.payload_model import MEMORY
+from flexspline.estimator.scoring import score
 from flexspline.estimator.smoothed import bandwidth, white_noise
 from flexspline.models import dynamics, laws
 from flexspline.models.errors import InputError
