@@ -221,7 +221,7 @@ def test_tables_of_what_there_is():
         (lambda: fs.simulate("no_load", durtion=3), "durtion: unknown key; did you mean 'duration'"),
         (lambda: fs.simulate("no_load", filters=["lowpas"]), "did you mean 'lowpass'"),
         (lambda: fs.compare("no_load", "RAREK"), "did you mean 'RAREKF'"),
-        (lambda: fs.compare(["no_load", "no_load"], duration=2), "got it twice"),
+        (lambda: fs.compare(["no_load", "no_load"], duration=2), "expected each once"),
         (lambda: fs.load_joint("test-jont"), "did you mean 'test-joint'"),
         (lambda: fs.load_recording("nothing.parquet"), "no such file"),
         (

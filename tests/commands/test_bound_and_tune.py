@@ -61,7 +61,7 @@ def test_tune(flexspline, tmp_path):
     [
         (("bound", "--filter", "RAREK"), "did you mean 'RAREKF'"),
         (("tune", "no_load", "--filter", "lowpas", "--out", "x"), "did you mean 'lowpass'"),
-        (("bound", "no_load", "no_load"), "got it twice"),
+        (("bound", "no_load", "no_load"), "expected each once"),
         (("bound", "no_load", "--walk"), "expected an --intensity"),
         (("bound", "torque_feedback"), "feedback: expected none or sensor"),
         (("tune", "no_load", "--train", "5-1", "--out", "x"), "expected seeds as A-B with A ≤ B"),
