@@ -55,7 +55,7 @@ class Response:
         return self.coherence > _COHERENT
 
     def resonances(self, simulated: bool = False) -> tuple[list[float], list[float]]:
-        """Frequencies [Hz] of peaks and of dips, where current and velocity are coherent, and the simulated current for its own."""
+        """Frequencies [Hz] of peaks and of dips, where current and velocity are coherent; simulated: that current, too."""
         size = np.log(np.abs(self.simulated if simulated else self.measured))
         kept = minimum_filter1d(self.coherence, 3) > _COHERENT  # one bin alone may be so by chance
         if simulated:  # at a resonance the laws need next to no current: its neighbours are coherent
