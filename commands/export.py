@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..models.errors import InputError
 from ._listing import AsJson
 from ._measurement import load_measurement, read_measurement_files
 from ._options import with_plugins
@@ -48,6 +49,9 @@ def command(
     With `--to`: the numbers are fitted to the joint's behaviour over the motion of the measurement. See docs/export.md.
     """
     if to is None:
+        given = {"--into": into, "--hinge": hinge, "--measurement": measurement, "--rigid": rigid, "--draws": draws}
+        if alone := [name for name, value in given.items() if value]:
+            raise InputError(f"{alone[0]}: expected it with --to, got it alone")
         return _recordings(Path(source), out, as_json)
     return _joint(source, to, measurement, into, hinge, rigid, draws, seed, out, as_json)
 
@@ -82,10 +86,11 @@ def _joint(
     out: Path,
     as_json: bool,
 ) -> Any:
-    from ..models.errors import InputError, read_text
+    from ..models.errors import read_text
     from ..models.files import write_json, write_text
     from ..models.joint import load_joint
-    from ..views.simulator_files import TARGETS, heading, put_into, written
+    from ..models.mjcf import inherited
+    from ..views.simulator_files import PLAIN, TARGETS, heading, put_into, users_joint, written
 
     if to not in TARGETS:
         raise InputError(f"--to: expected one of {', '.join(TARGETS)}, got {to!r}")
@@ -95,9 +100,16 @@ def _joint(
         raise InputError(f"{out}: expected a file to write to, got a folder")
     path = Path(source)
     joint: Joint = load_joint(path / "joint.yaml" if path.is_dir() else source)
-    text = read_text(into, "a file of a simulator") if into is not None else ""
-    if into is not None and out.exists() and out.samefile(into):
-        raise InputError(f"--out: expected another file than {into}")
+    name, inside, text = hinge or joint.name, (False, True), ""
+    if into is not None:
+        if out.exists() and out.samefile(into):
+            raise InputError(f"--out: expected another file than {into}")
+        read_text(into, "a file of a simulator")
+        text = into.read_bytes().decode()  # with its line ends
+        place = users_joint(text, name, str(into), to)
+        inside = inherited(into, name) if to == "mjcf" else inside
+    elif not PLAIN.fullmatch(name):
+        raise InputError(f"--hinge: expected letters, digits, spaces and _ - . / : +, got {name!r}")
     if measurement is None:
         from ..scenarios.standard_motion import standard_motion
 
@@ -115,7 +127,6 @@ def _joint(
         "hinge_without_armature" if to == "urdf" else "two_bodies" if to == "mjcf" and not (rigid or into) else "hinge"
     )
     found = collapse(data, joint, structure, draws, seed)
-    name = hinge or joint.name
     notes = heading(found, joint.name, motion)
     p = joint.record(data.recordings[0].link)[0]
     mass, lever = link_mass(p)
@@ -123,7 +134,7 @@ def _joint(
         link = {"inertia": float(p["Jl"]), "mass": mass, "lever": lever, "angle": float(p["gravity_angle"])}
         text = written(found, to, name, notes, link)
     else:
-        text = put_into(text, found, name, notes, str(into))
+        text = put_into(text, place, found, notes, *inside)
     drawn = out.with_name(f"{out.name}.draws.json")
     write_text(out, text)
     if draws:

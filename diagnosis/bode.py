@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
+from scipy.ndimage import minimum_filter, minimum_filter1d
 from scipy.signal import csd, find_peaks
 
 from ..estimator.conditioning import as_logged
@@ -38,7 +38,7 @@ class Response:
     Attributes:
       frequency: [Hz], shape (m,).
       measured, simulated: motor velocity over motor current [rad/(s·A)], complex, shape (m,).
-      coherence: with the reference, of current or velocity, the lesser one, shape (m,).
+      coherence: with the reference, of current or velocity, the lesser one, shape (m,); own: of the simulated current.
       reference: whether the position command was the reference.
     """
 
@@ -46,6 +46,7 @@ class Response:
     measured: np.ndarray
     simulated: np.ndarray
     coherence: np.ndarray
+    own: np.ndarray
     reference: bool
 
     @property
@@ -54,9 +55,11 @@ class Response:
         return self.coherence > _COHERENT
 
     def resonances(self, simulated: bool = False) -> tuple[list[float], list[float]]:
-        """Frequencies [Hz] of peaks and of dips, where current and velocity are coherent."""
+        """Frequencies [Hz] of peaks and of dips, where current and velocity are coherent; simulated: that current, too."""
         size = np.log(np.abs(self.simulated if simulated else self.measured))
         kept = minimum_filter1d(self.coherence, 3) > _COHERENT  # one bin alone may be so by chance
+        if simulated:  # at a resonance the laws need next to no current: its neighbours are coherent
+            kept &= minimum_filter(self.own, footprint=[1, 0, 1]) > _COHERENT
         return tuple(  # type: ignore[return-value]
             [float(self.frequency[k]) for k in find_peaks(sign * size, prominence=_PROMINENT)[0] if kept[k]]
             for sign in (1, -1)
@@ -119,7 +122,7 @@ def response(measurement: Measurement, joint: Joint) -> Response:
         ref = np.interp(s.time, since, r["position_command"]) if reference else current
         for name, a, b in (
             ("ri", ref, current), ("rq", ref, raw), ("rs", ref, own), ("rm", ref, s.rotor[:, 0]), ("rr", ref, ref),
-            ("ii", current, current), ("qq", raw, raw),
+            ("ii", current, current), ("qq", raw, raw), ("ss", own, own),
         ):  # fmt: skip
             frequency, spectrum = csd(a, b, fs=1 / STEP, nperseg=size, detrend="linear")
             total[name] = total.get(name, 0.0) + spectrum * len(s.time)
@@ -131,8 +134,9 @@ def response(measurement: Measurement, joint: Joint) -> Response:
     t = {name: np.array([np.mean(spectrum[band]) for band in bands]) for name, spectrum in total.items()}
     omega = 2j * np.pi * f
     with np.errstate(divide="ignore", invalid="ignore"):  # a reference at rest
-        coherence = [np.nan_to_num(np.abs(t[f"r{x}"]) ** 2 / np.real(t["rr"] * t[x + x])) for x in ("i", "q")]
-        return Response(f, omega * t["rq"] / t["ri"], omega * t["rm"] / t["rs"], np.minimum(*coherence), reference)
+        coherence = [np.nan_to_num(np.abs(t[f"r{x}"]) ** 2 / np.real(t["rr"] * t[x + x])) for x in ("i", "q", "s")]
+        least = np.minimum(*coherence[:2])
+        return Response(f, omega * t["rq"] / t["ri"], omega * t["rm"] / t["rs"], least, coherence[2], reference)
 
 
 def _current(segment: Segment, recording: Any, joint: Joint) -> np.ndarray:

@@ -30,7 +30,7 @@ from ..models.errors import InputError
 from ..models.friction_map import friction, steady
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
-from ..models.uncertainty import independent_changes, moved
+from ..models.uncertainty import drawn_changes, moved
 from .data.segments import CURRENT, Segment, decimate, segments
 from .fit.replay import parallel, replay, transmission
 
@@ -42,7 +42,6 @@ TIMESTEP = 1e-3
 _SHARE = (
     0.02  # of the rotor's inertia: MuJoCo's integration of a bristle's damping s1 acts as an inertia of a step times s1
 )
-_CUT = 2.5  # standard deviations at which drawn quantities end
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,8 @@ class Collapse:
         `stiffness` [N·m/rad], `springref` [rad]. Of two bodies on the motor side: `inertia` [kg·m²], `damping` [N·m·s/rad], `Fc`,
         `Fs` [N·m], `vs` [rad/s], `s0`, `s1`; of the spring at the output `stiffness` (three coefficients, of x, x|x| and x³) and
         `spring_damping`. All: `N`, `torque_constant` N Kt [N·m/A], `torque_limit` [N·m], `speed_limit` [rad/s] at the output.
-      full, written: RMS error of the current [A] on held-out motion, of the joint's own laws and of this structure.
+      full, written: RMS error of the current [A] on held-out motion, of the joint's own laws and of this structure, with the
+        load on the joint by its laws.
       nominal: the same of the description that the measurement names, in this structure; None where it is this joint.
       worst: where.
       samples: that are held out.
@@ -195,14 +195,17 @@ class _Motion:
         p = records[0][0]
         if structure == "two_bodies":
             columns, known = _two_bodies(self._rotor, load + p["bl"] * v, p)
+            X = fitted = np.stack(columns, axis=1)
         else:
-            columns, known = _hinge(link[:, :3], p, structure), load / p["N"] / p["Kt"]
-        X = np.stack(columns, axis=1)
+            # Fitted to the drive's own motion, as the link's does not have the rotor's acceleration; errors are on the link's.
+            drive = np.column_stack([q, self._rotor[:, 1:] / p["N"]])
+            fitted, X = (np.stack(_hinge(x, p, structure), axis=1) for x in (drive, link[:, :3]))
+            known = load / p["N"] / p["Kt"]
         free = np.arange(X.shape[1]) == 4  # the spring's rest angle times its stiffness has either sign
         y = full - known - p["current_offset"]
-        scale = np.linalg.norm(X[self._kept], axis=0) + 1e-300
+        scale = np.linalg.norm(fitted[self._kept], axis=0) + 1e-300
         bounds = np.where(free, -np.inf, 0.0), np.inf
-        fit = lsq_linear(X[self._kept] / scale, y[self._kept], bounds=bounds).x / scale
+        fit = lsq_linear(fitted[self._kept] / scale, y[self._kept], bounds=bounds).x / scale
         written = X @ fit + known + p["current_offset"]
         named = _two_bodies_named if structure == "two_bodies" else _hinge_named
         held = self._held
@@ -239,20 +242,10 @@ class _Motion:
         return FeedForwardError(_rms(rest - forward), _rms(rest), len(rest))
 
     def drawn(self, joint: Joint, structure: str, draws: int, seed: int) -> list[dict[str, Any]]:
-        """Parameters of joints drawn from what is not known of one, to first order, cut at 2.5 standard deviations."""
-        rng, changes = np.random.default_rng(seed), independent_changes(joint)
-        found: list[dict[str, Any]] = []
-        while len(found) < draws:
-            z = np.clip(rng.standard_normal(len(changes)), -_CUT, _CUT)
-            total: dict[str, float] = {}
-            for weight, change in zip(z, changes, strict=True):
-                for name, x in change.items():
-                    total[name] = total.get(name, 0.0) + float(weight) * x
-            records = [moved(joint, s.mounting, total) for s in self.segments]
-            p = records[0][0]
-            if min(p[name] for name in ("Kt", "Jm", "Jw", "K1", "K2", "K3", "Fc", "Fs", "vs", "bm", "bw", "s0")) > 0:
-                found.append(self.fitted(records, structure).parameters)
-        return found
+        """Parameters of joints drawn from what is not known of one."""
+        changes = drawn_changes(joint, draws, seed)
+        records = [[moved(joint, s.mounting, change) for s in self.segments] for change in changes]
+        return [self.fitted(one, structure).parameters for one in records]
 
 
 def _motion(measurement: Measurement, joint: Joint) -> _Motion:
@@ -330,8 +323,8 @@ def _two_bodies_named(found: np.ndarray, p: np.void, structure: str, visited: fl
         "inertia": inertia, "damping": damping, "Fc": friction * float(p["Fc"]), "Fs": friction * float(p["Fs"]),
         "vs": float(p["vs"]), "s0": float(p["s0"]), "s1": min(float(p["s1"]), _SHARE * inertia / TIMESTEP),
         "stiffness": [float(x) for x in spring],
-        "spring_damping": float(series), "spring_error": float(_rms(X @ spring - torque)), "Kt": float(p["Kt"]),
-        "R": float(p["R"]), "L": float(p["L"]), "supply_voltage": float(p["supply_voltage"]),
+        "spring_damping": float(series), "Kt": float(p["Kt"]), "R": float(p["R"]),
+        "L": float(p["L"]), "supply_voltage": float(p["supply_voltage"]),
         "current_limit": float(p["current_limit"]), "cogging": [amplitude, order, phase], "link_damping": float(p["bl"]),
     }  # fmt: skip
 

@@ -1,5 +1,5 @@
 """Detection of wrong estimates from their own outputs: torques beyond the gear, innovations far beyond their
-variance.
+variance, a large variance of the torque itself.
 
 An estimator with a wrong joint, load or sampling shows it without a reference. Both limits are far from a working
 estimator. A strain wave gear ratchets below `GEAR` times its rated torque. A mean NIS of `NIS` over a second means
@@ -17,6 +17,8 @@ GEAR = 5.0
 """Torque [rated torques] that no strain wave gear transmits."""
 NIS = 25.0
 """Mean NIS over a second that a working estimator does not reach."""
+UNSURE = 0.1
+"""An estimator's own standard deviation [rated torques] of an estimate that says nothing; working ones have less than 0.01."""
 SETTLING = 1.0
 """Time [s] after the start that is not checked."""
 
@@ -35,6 +37,7 @@ class Watch:
             if name.startswith("innovation") and name.replace("innovation", "innovation_variance", 1) in self._names
         ]
         self._largest, self._start = 0.0, math.nan
+        self._variance, self._samples = 0.0, 0
         self._sums, self._counts = np.zeros(0), np.zeros(0)
 
     def add(self, time: np.ndarray, out: np.ndarray) -> None:
@@ -47,6 +50,9 @@ class Watch:
             return
         rows = out[settled]
         self._largest = max(self._largest, float(np.max(np.abs(rows[:, self._names.index("torque")]))))
+        if "variance" in self._names:
+            self._variance += float(np.sum(rows[:, self._names.index("variance")]))
+            self._samples += len(rows)
         second = np.floor(since[settled]).astype(np.int64)
         size = int(second[-1]) + 1
         self._sums = np.pad(self._sums, (0, max(size - len(self._sums), 0)))
@@ -65,4 +71,7 @@ class Watch:
         worst = float(np.max(self._sums[enough] / self._counts[enough], initial=0.0))
         if worst > NIS:
             return f"innovations {math.sqrt(worst):.3g} times as large as it believes, over a second"
+        deviation = math.sqrt(self._variance / max(self._samples, 1))
+        if deviation > UNSURE * self._rated:
+            return f"its own standard deviation is {deviation:.3g} N·m, of a rated torque of {self._rated:g} N·m"
         return None

@@ -67,7 +67,7 @@ class Arm:
                 raise InputError(
                     f"{path}: joint {model.joint(i).name}: expected an arm of hinges and slides, got another kind"
                 )
-        self._plants = {(False,) * len(spec.payloads): (model, mujoco.MjData(model))}
+        self._plants: dict[tuple[bool, ...], tuple[mujoco.MjModel, mujoco.MjData]] = {}
         self._carrying((True,) * len(spec.payloads))  # checks them
         names = [self._model.joint(i).name for i in range(self._model.njnt)]
         if spec.joint not in names:
@@ -75,6 +75,7 @@ class Arm:
                 f"{self.path}: arm.joint: expected one of {names}, got {spec.joint!r}{nearest(spec.joint, names)}"
             )
         self._joint = names.index(spec.joint)
+        self._diagonal = int(model.M_rowadr[self._joint] + model.M_rownnz[self._joint] - 1)
         if int(self._model.jnt_type[self._joint]) != int(mujoco.mjtJoint.mjJNT_HINGE):
             raise InputError(f"{self.path}: arm.joint: expected a hinge, {spec.joint!r} is another kind of joint")
         self.others = tuple(name for name in names if name != spec.joint)
@@ -97,15 +98,16 @@ class Arm:
         weight = []
         for angle in (0.0, 0.5 * math.pi):
             q[self._joint] = angle
-            inertia, torque = self._dynamics(q, np.zeros_like(q), np.zeros_like(q))
-            weight.append(torque)
+            still = np.zeros((1, len(q)))
+            (inertia,), (torque,) = self._dynamics(q[None], still, still)
+            weight.append(float(torque))
         if inertia <= 0.0:
             raise InputError(f"{self.path}: arm.joint: expected masses that {self.spec.joint!r} moves, got none")
         # Mg sin(θ + γ) at 0 and a quarter turn.
         moment = math.hypot(*weight)
         if moment < _WEIGHTLESS:  # a vertical axis
-            return Mounting(inertia=inertia, gravity_moment=0.0)
-        return Mounting(inertia=inertia, gravity_moment=moment, gravity_angle=math.atan2(*weight))
+            return Mounting(inertia=float(inertia), gravity_moment=0.0)
+        return Mounting(inertia=float(inertia), gravity_moment=moment, gravity_angle=math.atan2(*weight))
 
     def load(
         self,
@@ -134,8 +136,9 @@ class Arm:
         a[:, self._joint] = 0.0  # τ without inertia times the joint's own acceleration
         inertia, torque = np.zeros(n), np.zeros(n)
         carried = np.zeros((len(self.spec.payloads), n), dtype=bool) if carried is None else carried
-        for k in range(n):
-            inertia[k], torque[k] = self._dynamics(q[k], v[k], a[k], tuple(carried[:, k].tolist()))
+        for state in np.unique(carried, axis=1).T:
+            at = np.flatnonzero(np.all(carried.T == state, axis=1))
+            inertia[at], torque[at] = self._dynamics(q[at], v[at], a[at], tuple(state.tolist()))
         weight = mounting.gravity_moment * np.sin(position + mounting.gravity_angle)
         return Load(inertia, weight - torque, own)
 
@@ -192,20 +195,17 @@ class Arm:
 
     def _dynamics(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, carried: tuple[bool, ...] | None = None
-    ) -> tuple[float, float]:
-        """Return the inertia about the joint's axis [kg·m²] and the torque τ [N·m] of positions, velocities,
-        accelerations, with the payloads that are `carried`, none by default."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the inertia about the joint's axis [kg·m²] and the torque τ [N·m], shape (n,), of positions, velocities,
+        accelerations, shape (n, nv), with the payloads that are `carried`, none by default."""
         m, d = self._carrying((False,) * len(self.spec.payloads) if carried is None else carried)
-        d.qpos[:], d.qvel[:], d.qacc[:] = q, v, a
-        mujoco.mj_kinematics(m, d)
-        mujoco.mj_comPos(m, d)
-        mujoco.mj_comVel(m, d)
-        torque, row, unit = np.zeros(m.nv), np.zeros(m.nv), np.zeros(m.nv)
-        mujoco.mj_rne(m, d, 1, torque)
-        mujoco.mj_crb(m, d)
-        unit[self._joint] = 1.0
-        mujoco.mj_mulM(m, d, row, unit)
-        return float(row[self._joint]), float(torque[self._joint])
+        found = np.zeros((len(q), 2))
+        qpos, qvel, qacc, mass, force, at = d.qpos, d.qvel, d.qacc, d.M, d.qfrc_inverse, self._joint
+        for k in range(len(q)):
+            qpos[:], qvel[:], qacc[:] = q[k], v[k], a[k]
+            mujoco.mj_inverse(m, d)
+            found[k] = mass[self._diagonal], force[at]
+        return found[:, 0], found[:, 1]
 
 
 def _find(name: str, folder: Path) -> Path:

@@ -109,8 +109,10 @@ def written(model: mujoco.MjModel, kept: Collection[int] | None = None, q: np.nd
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def reduced(path: Path, hinges: Sequence[str], positions: Mapping[str, float], where: str) -> tuple[str, np.ndarray]:
-    """Return an MJCF of the masses of an arm with some hinges of a model, and these hinges' ranges.
+def reduced(
+    path: Path, hinges: Sequence[str], positions: Mapping[str, float], where: str
+) -> tuple[str, np.ndarray, list[str]]:
+    """Return an MJCF of the masses of an arm with some hinges of a model, these hinges' ranges, and what they lose.
 
     Args:
       path: of the MJCF or URDF.
@@ -119,7 +121,7 @@ def reduced(path: Path, hinges: Sequence[str], positions: Mapping[str, float], w
       where: start of messages about names.
 
     Returns:
-      The text, as of `written`; ranges, shape (hinges, 2) [rad], infinite without limits.
+      The text, as of `written`; ranges, shape (hinges, 2) [rad], infinite without limits; what is lost, in words.
 
     Raises:
       InputError: a file that is no model, other names or joints than that, a closed chain; one line.
@@ -161,7 +163,7 @@ def reduced(path: Path, hinges: Sequence[str], positions: Mapping[str, float], w
                 f"{where}: positions.{name}: expected {low:g} to {high:g}, its range in {path}, got {value:g}"
             )
         q[model.joint(name).qposadr[0]] = value
-    return written(model, kept, q), np.array([_range(model, name) for name in hinges])
+    return written(model, kept, q), np.array([_range(model, name) for name in hinges]), _replaced(model, hinges)
 
 
 def put_payloads(spec: mujoco.MjSpec, payloads: Sequence[ArmPayload], where: str) -> list[mujoco.MjsBody]:
@@ -192,6 +194,19 @@ def weigh(bodies: Sequence[mujoco.MjsBody], payloads: Sequence[ArmPayload], carr
     """Set the masses of payloads, of `put_payloads`: their own while they are carried, else none."""
     for body, one, on in zip(bodies, payloads, carried, strict=True):
         body.mass, body.inertia = one.mass * on, [one.inertia * on] * 3
+
+
+def _replaced(model: mujoco.MjModel, hinges: Sequence[str]) -> list[str]:
+    """Return what a model has on hinges that the joints of an arm replace."""
+    found, kinds = [], (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    for name in hinges:
+        joint = model.joint(name)
+        mine = [
+            i for i in range(model.nu) if model.actuator_trntype[i] in kinds and model.actuator_trnid[i, 0] == joint.id
+        ]
+        found += [f"actuator {model.actuator(i).name or i}" for i in mine]
+        found += [f"{what} of joint {name}" for what in ("damping", "frictionloss") if np.any(getattr(joint, what))]
+    return found
 
 
 def _range(model: mujoco.MjModel, name: str) -> tuple[float, float]:

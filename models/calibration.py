@@ -72,11 +72,8 @@ class Calibration:
         return len(self.names)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw a joint within tolerance, shape (n,): standard normal, cut at `CUT`."""
-        x = rng.standard_normal(self.size)
-        while np.any(far := np.abs(x) > CUT):
-            x[far] = rng.standard_normal(int(far.sum()))
-        return x
+        """Draw a joint within tolerance, shape (n,), as of `standard`."""
+        return standard(rng, self.size)
 
     def _as_arrays(self) -> _Laws:
         joint, none = self.joint, len(self.names)  # the index of a variable that is always zero
@@ -173,6 +170,14 @@ class Calibration:
             limit[slot.place], period[slot.place] = self.reach(slot, WITHIN) * scale, slot.period
         off = short_way(now - described, period)
         return not np.any((now != before) & (np.abs(off) > limit))
+
+
+def standard(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Draw standard normal variables, shape (count,), cut at `CUT`."""
+    x = rng.standard_normal(count)
+    while np.any(far := np.abs(x) > CUT):
+        x[far] = rng.standard_normal(int(far.sum()))
+    return x
 
 
 NARROW = 0.5

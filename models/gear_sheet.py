@@ -100,12 +100,12 @@ class GearSheet(Strict):
     def entries(self) -> list[SheetEntry]:
         """Return the entries with a friction torque."""
         found = [
-            SheetEntry("running torque [N·m]", speed * RPM, 0.0, curve.temperature, value)
+            SheetEntry(RUNNING, speed * RPM, 0.0, curve.temperature, value)
             for curve in self.running_torque
             for speed, value in zip(curve.speed, curve.torque, strict=True)
         ]
         found += [
-            SheetEntry(_EFFICIENCY, speed * RPM, curve.load, curve.temperature, value)
+            SheetEntry(EFFICIENCY, speed * RPM, curve.load, curve.temperature, value)
             for curve in self.efficiency
             for speed, value in zip(curve.speed, curve.efficiency, strict=True)
         ]
@@ -117,7 +117,8 @@ class GearSheet(Strict):
         return found
 
 
-_EFFICIENCY = "efficiency"
+RUNNING, EFFICIENCY = "running torque [N·m]", "efficiency"
+"""Kinds of entries that a data sheet states over speed."""
 _CREEP = 1e-9  # rad/s: motion starts
 
 
@@ -140,7 +141,7 @@ class SheetEntry(NamedTuple):
 
     def friction(self, N: float) -> float:
         """Return the stated friction at the motor [N·m]."""
-        if self.kind == _EFFICIENCY:
+        if self.kind == EFFICIENCY:
             return self.load / N * (1 / self.value - 1)
         return self.value / N if self.load < 0 else self.value
 
@@ -152,7 +153,7 @@ class SheetEntry(NamedTuple):
             slope = _friction(self._replace(load=-1.0), p) - without
             return without / (1 / N - slope) if slope * N < 1 else math.inf
         friction = _friction(self, p)
-        return self.load / (self.load + N * friction) if self.kind == _EFFICIENCY else friction
+        return self.load / (self.load + N * friction) if self.kind == EFFICIENCY else friction
 
 
 def _friction(at: SheetEntry, p: np.void) -> float:
@@ -361,7 +362,7 @@ def comparison(joint: Joint, sheet: GearSheet) -> dict[str, Any]:
         )
     found = []
     for kind, at, stated, predicted in rows:
-        error = 100 * (predicted - stated if kind == _EFFICIENCY else predicted / stated - 1)
+        error = 100 * (predicted - stated if kind == EFFICIENCY else predicted / stated - 1)
         found.append({"entry": kind, "at": at, "stated": stated, "predicted": predicted, "error": error})
     residual = [math.log(_friction(one, p) / one.friction(float(p["N"]))) for one in entries]
     rms = math.sqrt(sum(x**2 for x in residual) / max(len(residual), 1))

@@ -6,6 +6,8 @@ import xml.etree.ElementTree as ElementTree
 from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+import mujoco
+
 from .errors import InputError, read_text
 
 STATED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
@@ -39,6 +41,24 @@ def check_mjcf(path: Path) -> None:
         line.
     """
     _check(path, path.resolve().parent, _DEEPEST)
+
+
+def inherited(path: Path, hinge: str) -> tuple[bool, bool]:
+    """Return what a hinge of an MJCF has from classes and includes: whether its damping or stiffness has higher orders; and
+    whether angles are in radians.
+
+    Raises:
+      InputError: a file that is no MJCF, or another kind of joint; one line.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise InputError(f"{path}: not a readable MJCF: {' '.join(str(error).split())}") from error
+    joint = spec.joint(hinge)
+    if joint is not None and joint.type != mujoco.mjtJoint.mjJNT_HINGE:
+        raise InputError(f"{path}: joint {hinge!r}: expected a hinge, got another kind by its class")
+    polynomial = joint is not None and (any(joint.damping[1:]) or any(joint.stiffness[1:]))
+    return polynomial, not spec.compiler.degree
 
 
 def stated_numbers(path: Path) -> dict[str, float]:

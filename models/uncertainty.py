@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from . import causes
-from .calibration import Calibration, slots
+from .calibration import Calibration, slots, standard
 from .joint import Joint
 from .joint_parts import Mounting
 
@@ -54,6 +54,32 @@ def principal(changes: Sequence[Change], responses: np.ndarray, left: float, mos
 
 def independent_changes(joint: Joint) -> list[Change]:
     """Return changes of one standard deviation along independent directions of a joint's uncertainty."""
+    found, known = _diagnosed(joint)
+    # Unmeasured numbers have their tolerances; a shared one changes all unmeasured numbers that share it.
+    calibration = Calibration(joint)
+    found += [_within(calibration, x, known) for x in np.eye(calibration.size)]
+    return [change for change in found if change]
+
+
+def drawn_changes(joint: Joint, count: int, seed: int) -> list[Change]:
+    """Draw changes of a joint, each variable cut at `calibration.CUT`: diagnosed quantities to first order, others as their
+    tolerances state. A draw with a negative or zero number where the joint's is positive is drawn again."""
+    rng, calibration = np.random.default_rng(seed), Calibration(joint)
+    diagnosed, known = _diagnosed(joint)
+    positive = {s.name: s.number.value for s in slots(joint) if s.name in joint.numbers and s.number.value > 0.0}
+    found: list[Change] = []
+    while len(found) < count:
+        total = dict(_within(calibration, calibration.draw(rng), known))
+        for weight, change in zip(standard(rng, len(diagnosed)), diagnosed, strict=True):
+            for name, x in change.items():
+                total[name] = total.get(name, 0.0) + float(weight) * x
+        if all(value + total.get(name, 0.0) > 0.0 for name, value in positive.items()):
+            found.append(total)
+    return found
+
+
+def _diagnosed(joint: Joint) -> tuple[list[Change], set[str]]:
+    """Return independent changes of one standard deviation of diagnosed quantities, and the names of these quantities."""
     stated = joint.uncertainty
     found: list[Change] = []
     known: set[str] = set()
@@ -69,13 +95,13 @@ def independent_changes(joint: Joint) -> list[Change]:
         for name, estimate in effect.parameters.items():
             if f"effects.{i}.{name}" not in known and estimate.std:
                 found.append({f"effects.{i}.{name}": estimate.std})
-    # Unmeasured numbers have their tolerances; a shared one changes all unmeasured numbers that share it.
-    calibration = Calibration(joint)
-    at = calibration.values(np.zeros(calibration.size))
-    for x in np.eye(calibration.size):
-        changes = zip(calibration.slots, calibration.values(x) - at, strict=True)
-        found.append({s.name: float(change) for s, change in changes if change and s.name not in known})
-    return [change for change in found if change]
+    return found, known
+
+
+def _within(calibration: Calibration, x: np.ndarray, known: set[str]) -> Change:
+    """Return the changes at calibration variables x, shape (n,), without quantities that are `known` otherwise."""
+    off = calibration.values(x) - calibration.values(np.zeros(calibration.size))
+    return {s.name: float(one) for s, one in zip(calibration.slots, off, strict=True) if one and s.name not in known}
 
 
 def moved(joint: Joint, mounting: Mounting | None, changes: Change) -> np.ndarray:

@@ -208,6 +208,11 @@ class Scenario(Strict):
     @classmethod
     def _realistic(cls, given: Any) -> Any:
         """Set clock and drive for `sensors: realistic`, unless they are stated."""
+        if isinstance(given, dict) and isinstance(given.get("trajectory"), dict):
+            raise ValueError(
+                "trajectory: expected a list of waypoints, got a mapping; a motion with `kind` is an entry of `motions`, which "
+                "are added to it"
+            )
         if not isinstance(given, dict) or not _are_realistic(given.get("sensors")):
             return given
         return {"current": "sensor", "jitter": 1e-4, "controller": LAGGING} | given
@@ -234,6 +239,16 @@ class Scenario(Strict):
         for i, way in enumerate(self.trajectory):
             if way.mode != self.mode:
                 raise ValueError(f"trajectory.{i}: expected a {self.mode}, as in the first waypoint, got a {way.mode}")
+        for i, motion in enumerate(self.motions):
+            fastest, limit = max(motion.frequency or 0.0, motion.end_frequency or 0.0), 0.5 / CONTROL_PERIOD
+            if fastest > limit:
+                raise ValueError(
+                    f"motions.{i}: expected at most {limit:g} Hz, half the controller's rate, got {fastest:g} Hz"
+                )
+            if motion.start >= self.duration:
+                raise ValueError(
+                    f"motions.{i}.start: expected a time before the end at {self.duration:g} s, got {motion.start:g} s"
+                )
         if self.start is not None and self.mode == "position":
             raise ValueError("start: expected none in position control, which starts at its first waypoint")
         self._check_filters()

@@ -156,6 +156,7 @@ def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | Non
     for i, ((at, _), record) in enumerate(held):
         state = data.plugin_state[model.plugin_stateadr[i] :][: plugin.STATES]
         state[plugin.MEMORY : plugin.MEMORY + 3] = -1.5 * h * data.qacc[at]
+        state[plugin.STEPPED] = 1.0
         velocity, p = data.qvel[at], record[0]
         state[plugin.BRISTLE] = -h * velocity[plugin.WAVE_GENERATOR]
         if p["hysteresis_torque"] != 0:  # zero after the first step (laws.dahl_step)

@@ -26,10 +26,11 @@ from . import native
 
 NAME = "flexspline.joint"
 """Of the plugin."""
-STATES = 13
+STATES = 14
 """Numbers of an instance's plugin state: bristle, Dahl state, velocities of the gear's coordinates a step before
-(four), temperature; then the first six as written by the current step."""
-BRISTLE, DAHL, MEMORY, TEMPERATURE, _NEXT = 0, 1, 2, 6, 7
+(four), temperature; then the first six as written by the current step; 1 after a step. Before the first step, whatever the
+velocities are, they have not changed."""
+BRISTLE, DAHL, MEMORY, TEMPERATURE, _NEXT, STEPPED = 0, 1, 2, 6, 7, 13
 """Indices in the plugin state. Temperature [°C] may be changed at any time."""
 
 ROTOR, WAVE_GENERATOR, LINK, FLEXIBLE = 0, 1, 2, 3
@@ -261,6 +262,7 @@ def _advance(m, d, instance):
     state = floats_at(word_at(d + 8 * _STATE) + 8 * _ints(m, _STATE_AT)[instance])
     for k in range(TEMPERATURE):
         state[k] = state[_NEXT + k]
+    state[STEPPED] = 1.0
 
 
 def _compute(m, d, instance, capability):
@@ -272,7 +274,9 @@ def _compute(m, d, instance, capability):
     rotor, wave_generator, link = int(header[3 + ROTOR]), int(header[3 + WAVE_GENERATOR]), int(header[3 + LINK])
     theta = qpos[int(header[ROTOR])], qpos[int(header[WAVE_GENERATOR])], qpos[int(header[LINK])]
     velocity = qvel[rotor], qvel[wave_generator], qvel[link]
-    previous = memory[MEMORY + ROTOR], memory[MEMORY + WAVE_GENERATOR], memory[MEMORY + LINK]
+    previous = velocity
+    if memory[STEPPED] != 0.0:
+        previous = memory[MEMORY + ROTOR], memory[MEMORY + WAVE_GENERATOR], memory[MEMORY + LINK]
     time, h = floats_at(d + 8 * _TIME)[0], floats_at(m + 8 * _TIMESTEP)[0]
     state, t, g = at_positions(
         theta, velocity, previous, memory[BRISTLE], memory[DAHL], time, h, memory[TEMPERATURE], p

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.parsers import expat
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 
 _FILES = {"mjcf": "joint.xml.j2", "urdf": "joint.urdf.j2", "mjlab": "mjlab.py.j2", "isaac": "isaac.py.j2"}
 TARGETS = tuple(_FILES)
+PLAIN = re.compile(r"[\w ./:+-]+")
+"""A joint's name that can be written to every target as it is."""
 TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -41,6 +45,9 @@ def heading(found: Collapse, joint: str, motion: str) -> list[str]:
     speed, load = found.visited
     lines.append(f"Visited: speed to {_g(speed)} rad/s, load to {_g(load)} N·m. Beyond it nothing was fitted.")
     if found.structure == "two_bodies":
+        lines.append(
+            "Errors are the drive's, with the torque on it by all laws. The spring has no kinematic error and no hysteresis."
+        )
         lines.append(
             "Friction: s0 is the joint's, s1 is small enough for this timestep. Neither has an effect in motion."
         )
@@ -80,69 +87,125 @@ def _comment(notes: list[str], indent: str = "  ") -> str:
     return f"{indent}<!-- {text} -->"
 
 
-def put_into(text: str, found: Collapse, hinge: str, notes: list[str], file: str) -> str:
+def users_joint(text: str, hinge: str, file: str, target: str) -> list[_Element]:
+    """Return the element of a joint in a user's MJCF or URDF, and the elements in it.
+
+    Args:
+      text: of the file; hinge: name of the joint; file: for messages; target: mjcf or urdf.
+
+    Raises:
+      InputError: no XML, a file of another kind, no such joint, or it is not a hinge; one line.
+    """
+    elements = _elements(text, file)
+    root, kinds = ("mujoco", ("hinge",)) if target == "mjcf" else ("robot", ("revolute", "continuous"))
+    if elements[0].tags[0] != root:
+        raise InputError(f"{file}: expected a file with root {root} for --to {target}, got {elements[0].tags[0]}")
+    joint = _joint(elements, hinge, file)
+    kind = joint.attributes.get("type", kinds[0])
+    if kind not in kinds:
+        raise InputError(f"{file}: joint {hinge!r}: expected type {' or '.join(kinds)}, got {kind}")
+    parts = [one for one in elements if joint.inside <= one.begin < joint.end]
+    if target == "urdf" and not {"parent", "child"} <= {one.tags[-1] for one in parts}:
+        raise InputError(f"{file}: joint {hinge!r}: expected an element with parent and child, got one without")
+    return [joint, *parts]
+
+
+def put_into(
+    text: str, joint: list[_Element], found: Collapse, notes: list[str], polynomial: bool, radian: bool
+) -> str:
     """Return a user's MJCF or URDF with the numbers of one joint changed, and everything else unchanged.
 
     Args:
-      text: of the file; hinge: name of the joint; file: for messages.
-
-    Raises:
-      InputError: the file has no such joint, or it is not a hinge.
+      text: of the file; joint: of `users_joint`; notes: of `heading`; polynomial, radian: as of `models.mjcf.inherited`.
     """
     p = found.parameters
-    tag = _joint_tag(text, hinge, file)
-    begin, end = tag.span()
-    if re.search(r"<robot\b", _blind(text)) is None:
-        kind = re.search(r"""\btype\s*=\s*["'](\w+)["']""", tag.group())
-        if kind is not None and kind.group(1) != "hinge":
-            raise InputError(f"{file}: joint {hinge!r}: expected a hinge, got type {kind.group(1)}")
-        values = {name: _n(p[name]) for name in ("armature", "damping", "frictionloss")}
+    limit, changes = _n(p["torque_limit"]), list[tuple[int, int, str]]()
+
+    def put(one: _Element, values: Mapping[str, str]) -> None:
+        changes.append((one.begin, one.inside, _with_attributes(text[one.begin : one.inside], values)))
+
+    if "body" in joint[0].tags:
+        more = " 0 0" if polynomial else ""
+        values = {name: _n(p[name]) for name in ("armature", "damping", "frictionloss", "stiffness")}
+        values |= {name: values[name] + more for name in ("damping", "stiffness")}
         if p["stiffness"]:
-            radian = re.search(r"""<compiler\b[^>]*\bangle\s*=\s*["']radian""", _blind(text))
-            values |= {
-                "stiffness": _n(p["stiffness"]),
-                "springref": _n(p["springref"] * (1.0 if radian else 180.0 / math.pi)),
-            }
-        limit = _n(p["torque_limit"])
-        values |= {"actuatorfrcrange": f"-{limit} {limit}", "actuatorfrclimited": "true"}
-        changed = _with_attributes(tag.group(), values)
+            values["springref"] = _n(p["springref"] * (1.0 if radian else 180.0 / math.pi))
+        put(joint[0], values | {"actuatorfrcrange": f"-{limit} {limit}", "actuatorfrclimited": "true"})
     else:
-        if tag.group().endswith("/>"):
-            raise InputError(f"{file}: joint {hinge!r}: expected an element with parent and child, got none")
-        begin, end = end, _blind(text).index("</joint>", end)
-        changed = text[begin:end]
+        end = joint[0].end
+        space = text[len(text[:end].rstrip(" \t")) : end]
         for name, values in (
-            ("limit", {"effort": _n(p["torque_limit"]), "velocity": _n(p["speed_limit"])}),
+            ("limit", {"effort": limit, "velocity": _n(p["speed_limit"])}),
             ("dynamics", {"damping": _n(p["damping"]), "friction": _n(p["frictionloss"])}),
         ):
-            there = re.search(rf"<{name}\b[^>]*>", _blind(changed))
-            if there is not None:
-                changed = changed[: there.start()] + _with_attributes(there.group(), values) + changed[there.end() :]
-            else:
+            there = [one for one in joint if one.tags[-1] == name]
+            for one in there:
+                put(one, values)
+            if not there:
                 element = "<" + name + "".join(f' {key}="{value}"' for key, value in values.items()) + "/>"
-                space = re.search(r"\n?[ \t]*$", changed)
-                assert space is not None
-                before = changed[: space.start()]
-                changed = before + (f"{space.group()}  " if space.group() else "") + element + space.group()
-    whole = text[:begin] + changed + text[end:]
-    declaration = re.match(r"\s*<\?xml.*?\?>\s*\n", whole)
+                changes.append((end, end, f"  {element}\n{space}"))
+    for begin, end, new in sorted(changes, reverse=True):
+        text = text[:begin] + new + text[end:]
+    declaration = re.match(r"\ufeff?(\s*<\?xml.*?\?>\s*\n)?", text)
     at = declaration.end() if declaration else 0
-    return whole[:at] + _comment(notes, "") + "\n" + whole[at:]
+    return text[:at] + _comment(notes, "") + "\n" + text[at:]
 
 
-def _blind(text: str) -> str:
-    """Return a text with comments replaced by spaces."""
-    return re.sub(r"<!--.*?-->", lambda m: " " * len(m.group()), text, flags=re.DOTALL)
+@dataclass
+class _Element:
+    """An element of an XML text: tags from the root, places in the text of its beginning, content and end tag."""
+
+    tags: tuple[str, ...]
+    attributes: dict[str, str]
+    begin: int
+    inside: int
+    end: int
 
 
-def _joint_tag(text: str, hinge: str, file: str) -> re.Match[str]:
-    named = re.compile(r"""\bname\s*=\s*(["'])(.*?)\1""")
-    tags = {m: named.search(m.group()) for m in re.finditer(r"<joint\b[^>]*>", _blind(text))}
-    names = {m: name.group(2) for m, name in tags.items() if name is not None}
-    found = [m for m, name in names.items() if name == hinge]
+def _elements(text: str, file: str) -> list[_Element]:
+    """Return the elements of an XML text, in its order. Raises `InputError`."""
+    data, found, opened = text.encode(), list[_Element](), list[int]()
+    at, place = 0, 0  # in bytes, in characters
+    parser = expat.ParserCreate("utf-8")
+
+    def here() -> int:
+        nonlocal at, place
+        place += len(data[at : parser.CurrentByteIndex].decode())
+        at = parser.CurrentByteIndex
+        return place
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        begin = here()
+        end = re.compile(r"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>").match(text, begin)
+        assert end is not None
+        tags = (*(found[opened[-1]].tags if opened else ()), tag)
+        opened.append(len(found))
+        found.append(_Element(tags, attributes, begin, end.end(), end.end()))
+
+    def close(_: str) -> None:
+        found[opened.pop()].end = here()
+
+    parser.StartElementHandler, parser.EndElementHandler = start, close
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise InputError(f"{file}: not readable XML: {error}") from error
+    return found
+
+
+def _joint(elements: list[_Element], hinge: str, file: str) -> _Element:
+    """Return the element of a joint of a body or of the robot; actuators, equalities and transmissions name joints, too."""
+    joints = [
+        one
+        for one in elements
+        if one.tags[-1] == "joint" and ("body" in one.tags or one.tags[:-1] == ("robot",)) and "name" in one.attributes
+    ]
+    found = [one for one in joints if one.attributes["name"] == hinge]
     if len(found) != 1:
-        known = ", ".join(dict.fromkeys(names.values())) or "none"
-        raise InputError(f"{file}: expected one joint {hinge!r}, got {len(found)}; its joints are {known}")
+        known = ", ".join(dict.fromkeys(one.attributes["name"] for one in joints)) or "none"
+        files = ", ".join(one.attributes.get("file", "") for one in elements if one.tags[-1] == "include")
+        more = f"; --into takes the file that has the joint itself (it includes {files})" if files else ""
+        raise InputError(f"{file}: expected one joint {hinge!r}, got {len(found)}; its joints are {known}{more}")
     return found[0]
 
 

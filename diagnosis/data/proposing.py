@@ -42,8 +42,9 @@ _WORDS: dict[str, str] = {
         "motor": "motor mot rotor m drive inc",
         "link": "link output out l abs flange",
         "other": """error err mode status voltage volts volt bus vbus index frame task id tcp cartesian pose gripper ext external
-            std covariance enable enabled seq nanosec collision robot fric friction gravity model stiffness digital analog bits seed
-            done reward hat nsecs power safety execution scaling momentum tool accelerometer force forces payload cog filtered filt counter""",
+            std covariance enable enabled seq nanosec collision robot fric friction gravity model stiffness digital analog bits
+            seed done reward hat nsecs power safety execution scaling momentum tool accelerometer force forces payload cog
+            filtered filt counter""",
     }.items()
     for word in words.split()
 }  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,6 +13,7 @@ import numpy as np
 from ...estimator.estimator import KnownJoint
 from ...models.arm import ArmRecord, ArmSpec
 from ...models.arm_dynamics import Arm, external_torques
+from ...models.errors import InputWarning
 from ...models.files import yaml_text
 from ...models.joint_parts import Mounting
 from ...models.output import output_folder
@@ -50,10 +52,13 @@ def run_arm(
 
     Raises:
       InputError, FilterDiverged: as `run.run_scenario`.
+
+    Warns:
+      InputWarning: actuators, damping or friction of the model's driven hinges, which are not used.
     """
     alone = [Experiment.of(joint, folder) for joint in scenario.arm]
     alone = [replace(e, record=(records or {}).get(e.scenario.name, e.record)) for e in alone]
-    names = [joint.name for joint in scenario.arm]
+    names, unused = [joint.name for joint in scenario.arm], ""
     joints = [
         ArmJoint(one.name, e.joint, e.record, one.length, one.turn) for one, e in zip(scenario.arm, alone, strict=True)
     ]
@@ -62,7 +67,7 @@ def run_arm(
         mjcf = plant.rigid([replace(one, record=_links(load)) for one, load in zip(joints, bolted, strict=True)])
         build = partial(plant.build, joints, scenario.timestep, payloads=scenario.payloads)
     else:
-        mjcf = scenario.masses(folder)
+        mjcf, unused = scenario.masses(folder)
         build = partial(plant.on_hinges, mjcf, joints, scenario.timestep, scenario.payloads)
     middle = {
         name: float(np.median(e.command)) if e.scenario.mode == "position" else e.start
@@ -104,6 +109,8 @@ def run_arm(
             signals = signals.with_columns(arm_torque=load.on(link.inertia))
         found |= estimate(estimators, signals, e.known, threads)
         runs[name] = run_of(e, s, {entry.name: found[entry.name] for entry in e.scenario.filters}, place)
+    if unused:
+        warnings.warn(unused, InputWarning, stacklevel=2)
     return runs
 
 

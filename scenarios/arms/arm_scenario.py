@@ -163,8 +163,9 @@ class ArmScenario(Strict):
                 joint.pop(key, None)
         return data
 
-    def masses(self, folder: Path | None) -> str:
-        """Return the masses and the hinges of its joints as an MJCF's text, from its model; `folder`: of the scenario's file.
+    def masses(self, folder: Path | None) -> tuple[str, str]:
+        """Return the masses and the hinges of its joints as an MJCF's text, from its model, and a line about what of the model's
+        drives is not used; `folder`: of the scenario's file.
 
         Raises:
           InputError: as of `arm_model.reduced`; positions commanded beyond a hinge's range.
@@ -173,7 +174,7 @@ class ArmScenario(Strict):
         path = (folder or Path()) / str(self.model)
         if not path.is_file():
             raise InputError(f"{where}: model: expected an MJCF or URDF file, no such file {str(path)!r}")
-        text, ranges = reduced(path, names, self.positions, where)
+        text, ranges, replaced = reduced(path, names, self.positions, where)
         put_payloads(mujoco.MjSpec.from_string(text), self.payloads, f"{where}: ")
         for i, (joint, (low, high)) in enumerate(zip(self.arm, ranges, strict=True)):
             if joint.mode == "position":
@@ -183,7 +184,10 @@ class ArmScenario(Strict):
                         f"{where}: arm.{i}.trajectory: expected positions of {joint.name} from {low:g} to {high:g} rad, its "
                         f"range in {path}, got {least:g} to {most:g} rad"
                     )
-        return text
+        unused = (
+            f"{path}: {', '.join(replaced)}: not used, as the joints of `arm` have their own motors, gears and friction"
+        )
+        return text, unused if replaced else ""
 
 
 def _seed(seed: int, name: str) -> int:

@@ -34,6 +34,8 @@ URDF = """<robot name="mine">
     <parent link="a"/><child link="b"/>
     <limit lower="-1" upper="1" effort="1" velocity="2"/>  <!-- <dynamics damping="1"/> -->
   </joint>
+  <transmission name="t"><joint name="elbow"><hardwareInterface>effort</hardwareInterface></joint></transmission>
+  <ros2_control name="r" type="system"><joint name="elbow"/></ros2_control>
 </robot>
 """
 
@@ -150,6 +152,68 @@ def test_into_a_users_mjcf(export, folder, tmp_path):
     assert mine.read_text() == ROBOT
 
 
+TORTURE = """<?xml version="1.0"?>
+<!-- <compiler angle="radian"/> é -->
+<mujoco>
+  <default><default class="drive"><joint armature="0.3" damping="4 5 6" frictionloss="0.7" stiffness="11 2 3"
+    springref="20" actuatorfrcrange="-1 1"/></default></default>
+  <include file="more.xml"/>
+  <worldbody>
+    <body name="a" childclass="drive"><joint name="left/shoulder" axis="0 1 0"/><geom size="0.1"/>
+      <frame pos="0 0 1"><body name="b"> <!-- keep > this -->
+        <joint
+           name="left/elbow"   axis='0 1 0'
+           user="1 2"/><geom size="0.1"/></body></frame></body>
+  </worldbody>
+  <equality><joint name="left/elbow" joint1="left/elbow" joint2="left/shoulder" active="false"/></equality>
+  <actuator><position name="left/elbow" joint="left/elbow" kp="30"/></actuator>
+  <keyframe><key name="home" qpos="0 0.1 0.2"/></keyframe>
+</mujoco>
+"""
+INCLUDED = '<mujoco><worldbody><body><joint name="far"/><geom size="0.1"/></body></worldbody></mujoco>'
+
+
+def test_into_a_mjcf_with_classes_includes_and_names_used_twice(export, flexspline, folder, tmp_path):
+    """The joint is what the file says, whatever its class has; line ends and all else are unchanged."""
+    mine, out = tmp_path / "robot.xml", tmp_path / "new.xml"
+    mine.write_bytes(TORTURE.replace("\n", "\r\n").encode())
+    (tmp_path / "more.xml").write_text(INCLUDED)
+    arguments = (
+        joint_yaml(folder),
+        "--measurement",
+        folder / "measurement",
+        "--to",
+        "mjcf",
+        "--into",
+        mine,
+        "--out",
+        out,
+    )
+    found = json.loads(export(*arguments, "--hinge", "left/elbow", "--json"))["parameters"]
+    model = mujoco.MjModel.from_xml_path(str(out))
+    joint = model.joint("left/elbow")
+    dof = joint.dofadr[0]
+    assert joint.damping[0] == pytest.approx(found["damping"]) and joint.stiffness[0] == 0.0
+    assert not np.any(model.dof_dampingpoly[dof]) and not np.any(model.jnt_stiffnesspoly[joint.id])
+    assert joint.armature[0] == pytest.approx(found["armature"]) and model.key_qpos[0, 1] == 0.1
+    assert model.dof_damping[model.joint("left/shoulder").dofadr[0]] == 4.0
+    before, after = mine.read_bytes(), out.read_bytes()
+    assert after.count(b"\r\n") == before.count(b"\r\n")
+    begin = before.index(b'user="1 2"') + len(b'user="1 2"')
+    assert before[:begin].split(b"<mujoco>")[1] in after and after.endswith(before[begin:])
+    code, _, err = flexspline("export", *arguments, "--hinge", "far")
+    assert code == 2 and "its joints are left/shoulder, left/elbow; --into takes the file that has the joint" in err
+    assert "more.xml" in err and len(err.strip().splitlines()) == 1
+
+
+def test_armature_is_the_drives_inertia(export, folder, tmp_path):
+    """At the output, as a rigid model needs it for motions outside those that were fitted."""
+    found = json.loads(export(joint_yaml(folder), "--measurement", folder / "measurement", "--to", "mjcf", "--rigid", "--out",
+                              tmp_path / "rigid.xml", "--json"))["parameters"]  # fmt: skip
+    p = fs.load_joint(joint_yaml(folder)).record()[0]
+    assert found["armature"] == pytest.approx(p["N"] ** 2 * (p["Jm"] + p["Jw"]), rel=0.03)
+
+
 def test_into_a_users_urdf(export, folder, tmp_path):
     import xml.etree.ElementTree as ElementTree
 
@@ -158,6 +222,7 @@ def test_into_a_users_urdf(export, folder, tmp_path):
     export(joint_yaml(folder), "--measurement", folder / "measurement", "--to", "urdf", "--into", mine, "--hinge", "elbow",
            "--out", out)  # fmt: skip
     joint = ElementTree.parse(out).find("joint")
+    assert out.read_text().endswith(URDF[URDF.index("  </joint>\n  <transmission") :])
     assert float(joint.find("limit").get("effort")) > 10 and joint.find("limit").get("lower") == "-1"
     assert float(joint.find("dynamics").get("friction")) > 1
     assert (
@@ -187,6 +252,12 @@ def test_draws_are_around_the_fit(export, folder, tmp_path):
         (["test-joint", "--to", "mjlab", "--into", "{mine}"], "--into: expected --to mjcf or urdf, got mjlab"),
         (["test-joint", "--to", "mjcf", "--into", "{mine}", "--hinge", "wrist"],
          "expected one joint 'wrist', got 0; its joints are shoulder, elbow"),
+        (["test-joint", "--to", "urdf", "--into", "{mine}"], "expected a file with root robot for --to urdf, got mujoco"),
+        (["test-joint", "--to", "mjcf", "--into", "{broken}"], "broken.xml: not readable XML"),
+        (["test-joint", "--to", "urdf", "--into", "{fixed}", "--hinge", "e"], "expected type revolute or continuous, got fixed"),
+        (["test-joint", "--to", "mjcf", "--into", "{slide}", "--hinge", "e"], "expected a hinge, got another kind by its class"),
+        (["test-joint", "--to", "isaac", "--hinge", 'a"b'], "--hinge: expected letters, digits, spaces"),
+        (["{folder}", "--rigid"], "--measurement: expected it with --to, got it alone"),
         (["nobody", "--to", "mjcf"], "nobody"),
         (["test-joint", "--to", "mjcf", "--into", "missing.xml"], "missing.xml: cannot read a file of a simulator"),
     ],
@@ -194,7 +265,19 @@ def test_draws_are_around_the_fit(export, folder, tmp_path):
 def test_what_cannot_be_exported(flexspline, folder, tmp_path, arguments, message):
     mine = tmp_path / "robot.xml"
     mine.write_text(ROBOT)
-    given = [a.format(mine=mine) for a in arguments]
+    names = {"mine": mine, "folder": folder / "measurement"} | {
+        n: tmp_path / f"{n}.xml" for n in ("broken", "fixed", "slide")
+    }
+    names["broken"].write_text('<mujoco><worldbody><body><joint name="test-joint"/></bdy></worldbody></mujoco>')
+    names["fixed"].write_text(
+        '<robot name="r"><link name="a"/><link name="b"/>'
+        '<joint name="e" type="fixed"><parent link="a"/><child link="b"/></joint></robot>'
+    )
+    names["slide"].write_text(
+        '<mujoco><default><joint type="slide"/></default><worldbody><body><joint name="e"/><geom size="1"/></body></worldbody>'
+        "</mujoco>"
+    )
+    given = [a.format(**names) for a in arguments]
     code, _, err = flexspline("export", *given, "--measurement", folder / "measurement", "--out", tmp_path / "out.xml")
     assert code == 2 and message in err and len(err.strip().splitlines()) == 1, err
     assert not (tmp_path / "out.xml").exists()

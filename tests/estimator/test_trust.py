@@ -29,6 +29,14 @@ def test_a_diverging_estimate_is_marked(change):
     assert run.estimates["dynamics_ekf"].untrusted
 
 
+def test_an_estimate_that_knows_it_is_unsure_is_marked():
+    """A current sensor with noise of ten times the current: 4.6 N·m of error at torques within the gear's."""
+    run = fs.simulate("link_sweep", duration=5, filters=["RAREKF", "augmented"], **{"sensors.motor_current.noise": 30})
+    assert run.estimates["RAREKF"].untrusted is None  # which takes the command's current
+    assert run.estimates["augmented"].untrusted.startswith("its own standard deviation is ")
+    assert np.isfinite(run.estimates["augmented"].mean).all()
+
+
 @pytest.mark.parametrize("scenario", ["no_load", "link_sweep", "external_push"])
 def test_a_good_estimate_is_trusted(scenario):
     run = fs.simulate(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+import flexspline as fs
 from flexspline.models.datasheet import Datasheet, new_joint
 from flexspline.models.gear_sheet import GearSheet, comparison
 
@@ -205,3 +206,30 @@ def test_new_and_show_compare_the_joint_with_the_data_sheet(flexspline, tmp_path
     assert code == 0, error
     assert "running torque [N·m]" in text and max(map(len, text.splitlines()[:-1])) <= 80
     assert image.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_figure_has_the_joints_curve_through_each_curve_of_the_data_sheet():
+    """Running torque at each temperature, efficiency at each speed: points of the sheet, and the joint's own curve."""
+    from flexspline.models.characteristics import characteristics
+    from flexspline.views.figures.joint import joint_figure
+
+    joint = fs.load_joint("csg-25-100-tbm2g")
+    sheet = GearSheet.model_validate(
+        {
+            "source": "a sheet",
+            "running_torque": [{"speed": [500, 2000], "torque": [0.06, 0.08], "temperature": t} for t in (20, 0)],
+            "efficiency": [{"speed": [500, 2000], "load": load, "efficiency": [0.7, 0.65]} for load in (20, 51)],
+        }
+    )
+    axes = {
+        a.get_title(loc="left"): a
+        for a in joint_figure(joint, characteristics(joint), {w: ["cogging"] for w in "abc"}, sheet).axes
+    }
+    for title, points in (("Friction", 2), ("Efficiency of driving", 2)):
+        lines = axes[title].lines
+        dots = [line for line in lines if line.get_marker() == "o"]
+        curves = [line for line in lines if line.get_linestyle() == "--"]
+        assert [len(line.get_xdata()) for line in dots] == [points, points] and len(curves) == 2
+    row = next(r for r in comparison(joint, sheet)["gear_sheet"] if r["at"].startswith("2000 rpm, 51 N·m"))
+    curve = [line for line in axes["Efficiency of driving"].lines if line.get_linestyle() == "--"][1]
+    assert np.interp(51, curve.get_xdata(), curve.get_ydata()) == pytest.approx(100 * row["predicted"], abs=0.2)

@@ -235,6 +235,19 @@ def test_joints_without_an_entry_are_held(tmp_path):
     assert set(runs["j0"].as_recording().arm.positions) == {"j2"}
 
 
+def test_what_the_model_has_on_driven_hinges_is_named(tmp_path, flexspline):
+    """Its actuators and dampings do not act, and the command says so; those of other joints are not named."""
+    data = scenario(2, duration=0.2) | {"positions": {}}
+    for one in data["arm"]:
+        one |= {"trajectory": [{"time": 0, "position": 0.0}], "transient": 0}
+    code, _, err = flexspline("run", written(tmp_path, data, mjcf(2)), "--out", tmp_path / "out")
+    assert code == 0
+    (line,) = [line for line in err.splitlines() if "not used" in line]
+    assert (
+        "arm.xml: actuator 0, damping of joint j0, damping of joint j1: not used, as the joints of `arm` have" in line
+    )
+
+
 def link(name, mass, x, z, inertia, looks=""):
     inertia = " ".join(f'i{axes}="{value}"' for axes, value in inertia.items())
     return (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -77,6 +79,28 @@ def test_what_a_motion_lacks_is_one_line(motion, message):
     with pytest.raises(InputError, match=message) as error:
         parse(motion, AddedMotion, "here")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"trajectory": {"kind": "sine"}}, "trajectory: expected a list of waypoints, got a mapping; .* `motions`"),
+        (
+            {"motions": [{"kind": "sine", "duration": 1, "frequency": 600}]},
+            "motions.0: expected at most 500 Hz, .* got 600 Hz",
+        ),
+        (
+            {"motions": [{"kind": "sine", "duration": 1, "frequency": 6, "start": 3}]},
+            "motions.0.start: expected a time before",
+        ),
+    ],
+)
+def test_a_motion_that_cannot_be_commanded_is_one_line(tmp_path, flexspline, change, message):
+    base = {"name": "mine", "duration": 3, "trajectory": [{"time": 0, "position": 0}]}
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(base | change))
+    code, _, err = flexspline("run", tmp_path / "mine.yaml", "--out", tmp_path / "out")
+    assert code == 2 and re.search(message, err) and len(err.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,27 @@ def test_states_are_saved_copied_reset_and_rolled_out():
     np.testing.assert_array_equal(data.plugin_state, mujoco.MjData(model).plugin_state)
 
 
+def test_a_state_with_velocities_begins_without_a_kick():
+    """A keyframe, velocities that were set, and a saved physics state have no memory of a step before."""
+    key = "<keyframe><key qpos='0.3' qvel='1.0'/></keyframe></mujoco>"
+    model, data = attached(arm(1).replace("</mujoco>", key), "j0")
+    kind, after = mujoco.mjtState.mjSTATE_PHYSICS, []
+    for begin in ("key", "aligned", "state"):
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        if begin == "aligned":
+            fs.align(model, data)
+        if begin == "state":
+            state = np.empty(mujoco.mj_stateSize(model, kind))
+            mujoco.mj_getState(model, data, state, kind)
+            data = mujoco.MjData(model)
+            mujoco.mj_setState(model, data, state, kind)
+        mujoco.mj_step(model, data, nstep=3)
+        after.append(data.qvel.copy())
+    np.testing.assert_allclose(after[0], after[1], rtol=1e-3)
+    np.testing.assert_array_equal(after[0], after[2])
+    assert after[0][0] == pytest.approx(1.0, abs=0.02)
+
+
 def test_global_callbacks_are_unchanged():
     """Others' callbacks act next to the gear, and none is set for it."""
     import ctypes

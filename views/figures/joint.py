@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from ...models.gear_sheet import RPM
+from ...models.gear_sheet import EFFICIENCY, RUNNING
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, TRUTH
 from .sheet import sheet, styled
 
 if TYPE_CHECKING:
     from ...models.characteristics import Characteristics
-    from ...models.gear_sheet import GearSheet
+    from ...models.gear_sheet import GearSheet, SheetEntry
     from ...models.joint import Joint
 
 _BAND = 0.25
@@ -33,7 +33,7 @@ def joint_figure(
     Args:
       joint: the description; c: its characteristics (`models.characteristics`).
       seen: causes by the channels that a diagnosis needs to detect them.
-      sheet_of_gear: its running torques are drawn over the friction.
+      sheet_of_gear: its running torques and efficiencies are drawn, each with the joint's curve at its temperature or speed.
 
     Returns:
       A figure with bands of one standard deviation of the tolerances.
@@ -52,13 +52,9 @@ def joint_figure(
     _friction(friction, c)
     _efficiency(driving, "Efficiency of driving", c, c.driving, c.driving_deviation)
     _efficiency(back_driving, "Efficiency of back-driving", c, c.back_driving, c.back_driving_deviation)
-    driving.legend(loc="lower right")
     if sheet_of_gear is not None:
-        N = joint.numbers["N"].value
-        for curve in sheet_of_gear.running_torque:
-            speed, torque = np.array(curve.speed) * RPM / N, np.array(curve.torque) * N
-            friction.plot(speed, torque, "o", label=f"data sheet, {curve.temperature:g} °C")
-        friction.legend()
+        _data_sheet(friction, driving, joint, c, sheet_of_gear)
+    driving.legend(loc="lower right")
     if c.resonances:
         _resonances(lowest, c, rated)
     _resolution(stiffness, c)
@@ -67,6 +63,32 @@ def joint_figure(
     text.set_title("Causes that a diagnosis can detect")
     text.text(0, 0.98, "\n".join(lines), va="top", fontsize=8.2, transform=text.transAxes, linespacing=1.35)
     return figure
+
+
+def _data_sheet(friction: Axes, driving: Axes, joint: Joint, c: Characteristics, sheet_of_gear: GearSheet) -> None:
+    p, entries = joint.record()[0], sheet_of_gear.entries()
+    colors = {key: f"C{3 + k}" for k, key in enumerate(dict.fromkeys(_kind(one) for one in entries))}
+    for key, color in colors.items():
+        own = [one for one in entries if _kind(one) == key]
+        first = own[0]
+        label = f"data sheet, {first.temperature:g} °C"
+        if first.kind == RUNNING:
+            w = c.speed[c.speed > 0]
+            friction.plot(
+                [one.speed / p["N"] for one in own], [p["N"] * one.value for one in own], "o", color=color, label=label
+            )
+            friction.plot(w / p["N"], [p["N"] * first._replace(speed=x).predicted(p) for x in w], "--", color=color)
+        elif first.kind == EFFICIENCY:
+            label += f", {first.speed / p['N']:.2g} rad/s"
+            driving.plot([one.load for one in own], [100 * one.value for one in own], "o", color=color, label=label)
+            loads = c.torque[1:]
+            driving.plot(loads, [100 * first._replace(load=x).predicted(p) for x in loads], "--", color=color)
+    friction.legend()
+
+
+def _kind(one: SheetEntry) -> tuple[str, float, float]:
+    """Return what a curve of a data sheet has in common: kind, temperature, and an efficiency's speed."""
+    return one.kind, one.temperature, one.speed if one.kind == EFFICIENCY else 0.0
 
 
 def _lines(what: str, names: Sequence[str]) -> list[str]:
