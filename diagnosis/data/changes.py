@@ -422,7 +422,7 @@ class Table:
             return
         ratio = float(np.sqrt(max(np.median(inertias), 1e-6)))
         if SETTINGS.clock[0] < max(ratio, 1 / ratio) < SETTINGS.clock[1]:
-            text = f"a second of the log is {1 / ratio:.3g} s: inertia is {ratio**2:.3g} times the description"
+            text = f"a second of the log is {1 / ratio:.3g} s, or inertia {ratio**2:.3g} times the description"
             yield _entry("unit", "time", text, SETTINGS.price + 2 * SETTINGS.free, factor=1 / ratio)
 
     def _turned(self, there: set[str], fits: list[tuple[Plausibility, np.ndarray]]) -> Iterator[Mistake]:

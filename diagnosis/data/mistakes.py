@@ -136,6 +136,9 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     if after < SETTINGS.wrong or beyond or not mends:
         # The best change does not make the channels fit the joint.
         found = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in found]
+    elif search.with_another_load() > end.score - SETTINGS.beyond:
+        of_load = ({m.name, m.column} & {"no_gravity", "angle_zero", GRAVITY} for m in found)
+        found = [m if kept else replace(m, confidence=_UNSURE) for m, kept in zip(found, of_load, strict=True)]
     return [*late, *found]
 
 
@@ -194,6 +197,7 @@ class _Search:
     def __init__(self, recordings: Sequence[Recording], joint: Joint):
         self._recordings, self._joint = tuple(recordings), joint
         self._N, self._p = joint.numbers["N"].value, [joint.record(r.link)[0] for r in recordings]
+        self._recordings = recordings
         self._plausible = [Plausibility(joint, r) for r in recordings]
         self._carried = [r.arm is not None and bool(r.arm.positions) for r in recordings]
 
@@ -208,6 +212,20 @@ class _Search:
         motions = tuple(motion_of(r) for r in recordings)
         fits = tuple({} if m is None else p.agreement(m) for p, m in zip(self._plausible, motions, strict=True))
         self.start = _State(motions, fits)
+
+    def with_another_load(self) -> float:
+        """Return the score without changes, if each recording has the load that fits its torque best."""
+        found = 0.0
+        for r, p, motion, fits in zip(
+            self._recordings, self._plausible, self.start.motions, self.start.fits, strict=True
+        ):
+            known = any(fit.at_bound for fit in fits.values())  # the score without changes does not count it
+            torques = [name for name in reversed(DRIVING) if name in fits]
+            if motion is not None and torques:
+                loaded = replace(r, link=p.best_load(motion, torques[0]))
+                fits = Plausibility(self._joint, loaded).agreement(motion)
+            found += _total(fits) - (0.0 if known else SETTINGS.beyond)
+        return found
 
     def best(self) -> _State:
         """Return the state that no further change improves enough."""

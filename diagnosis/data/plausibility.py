@@ -24,6 +24,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from ...models.joint import Joint
+from ...models.joint_parts import Mounting
 from ...models.kernels import kernel
 from ...models.motion import smooth
 from ...models.recording import GAP, Recording
@@ -57,6 +58,7 @@ class AgreementSettings:
 
 SETTINGS = AgreementSettings()
 _FREEDOM = 3.0  # of the Student-t distribution
+_LIGHTEST = 1e-3  # load of the described one
 _CHANNELS = (*POSITIONS, "motor_current", "motor_torque", "joint_torque", "position_command", "external_torque")
 
 
@@ -286,7 +288,7 @@ class Plausibility:
     """A joint's description, compared with the channels of one recording."""
 
     def __init__(self, joint: Joint, recording: Recording):
-        self.joint = joint
+        self.joint, self.mounting = joint, recording.link
         self.p = joint.record(recording.link)[0]
         self.pushed = recording.external == "unmeasured"
         self.rated = joint.numbers["rated_torque"].value
@@ -323,6 +325,20 @@ class Plausibility:
             else (fits[name](motion) if name in fits else self.torque(motion, name))
             for name, needed in relations.items()
         }
+
+    def best_load(self, motion: SmoothedChannels, name: str) -> Mounting:
+        """Return the load that fits a torque channel best, with the described rotor."""
+        p = self.p
+        rotor = 0.0 if name == "joint_torque" else float(p["N"] ** 2 * (p["Jm"] + p["Jw"]))
+        inertia, along, across = self.torque(motion, name, free=True).coefficients[:3]
+        described = float(p["Jl"])
+        return self.mounting.model_copy(
+            update={
+                "inertia": max(inertia * (described + rotor) - rotor, _LIGHTEST * described),
+                "gravity_moment": math.hypot(along, across),
+                "gravity_angle": self.mounting.gravity_angle + math.atan2(across, along),
+            }
+        )
 
     def link(self, motion: SmoothedChannels) -> np.ndarray:
         """Return the link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
