@@ -197,7 +197,6 @@ class _Search:
     def __init__(self, recordings: Sequence[Recording], joint: Joint):
         self._recordings, self._joint = tuple(recordings), joint
         self._N, self._p = joint.numbers["N"].value, [joint.record(r.link)[0] for r in recordings]
-        self._recordings = recordings
         self._plausible = [Plausibility(joint, r) for r in recordings]
         self._carried = [r.arm is not None and bool(r.arm.positions) for r in recordings]
 
