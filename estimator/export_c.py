@@ -52,6 +52,16 @@ static inline void fs_fill(fs_array a, double x)
 """
 
 
+_QUIET = (  # the compiled code has labels and variables for every case
+    "#ifdef __GNUC__",
+    "#pragma GCC diagnostic push",
+    '#pragma GCC diagnostic ignored "-Wunused-but-set-variable"',
+    '#pragma GCC diagnostic ignored "-Wunused-label"',
+    "#endif",
+)
+_LOUD = ("#ifdef __GNUC__", "#pragma GCC diagnostic pop", "#endif")
+
+
 def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> str:
     """Return an estimator's step for a joint as the text of a C99 header.
 
@@ -81,6 +91,7 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
             "#include <math.h>",
             "#include <stdint.h>",
             "#include <string.h>",
+            *_QUIET,
             "#ifndef FLEXSPLINE_HELPERS",
             "#define FLEXSPLINE_HELPERS",
             _HELPERS.strip(),
@@ -99,6 +110,7 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
             f"static inline int {name}_step({name}_state *state, const flexspline_sample *sample, {name}_output *out)",
             f"{{ return (int){entry}(state->memory, (double *)sample, (double *){name}_record, (double *){name}_settings, "
             f"(double *)out) - {OK}; }}",
+            *_LOUD,
             "#endif",
             "",
         ]
