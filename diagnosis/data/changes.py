@@ -411,7 +411,7 @@ class Table:
             ):
                 text = (
                     f"lacks gravity: {max(p.p['Mg'] for p, _ in found):.3g} N·m · sin(angle) is missing. Does the drive subtract "
-                    "gravity (compensated or external torque), or is the joint's axis vertical?"
+                    "gravity (compensated or external torque), is the joint's axis vertical, or the load far lighter?"
                 )
                 yield _entry("no_gravity", column, text, lost=True)
                 gravity = False
