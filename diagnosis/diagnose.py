@@ -69,7 +69,8 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         return invalid_data(joint, mistakes)
     whole = unclipped(measurement, joint, mistakes)
     measurement = most_telling(whole)
-    joint = in_quadratures(as_logged(joint, measurement.recordings))
+    described = as_logged(joint, measurement.recordings)
+    joint = in_quadratures(described)
     conditioned = [condition(r, joint) for r in measurement.recordings]
     problem = Problem(*segments(conditioned, joint), joint)
     pairs = zip(measurement.recordings, conditioned, strict=True)
@@ -105,6 +106,9 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         surest = ANSWER.unsure
     conclusion = Conclusion(problem, found, judged, final, small, missing, undetermined, alike, surest, zeros)
     answer = answer_of(conclusion, measurement, conditioned)
+    if small.share == 0.0:  # nothing was learned of the phases
+        kept = {"kinematic_error": described.kinematic_error}
+        answer = replace(answer, extended=answer.extended.model_copy(update=kept))
     if measurement is not whole:
         part, all_ = (sum(len(r.time) * r.interval for r in m.recordings) for m in (measurement, whole))
         why = f"the {part:.0f} s with the most information were diagnosed, of {all_:.0f} s: errors are those in these parts"
