@@ -80,7 +80,7 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
             coverage.too_little(measurement, joint)
             or "no part without gaps moves the rotor far enough to settle its friction"
         )
-        return Diagnosis("inconclusive", (why,), (), {}, (), missing, {}, (), joint, mistakes=mistakes)
+        return Diagnosis("inconclusive", (why,), (), {}, (), missing, {}, (), described, mistakes=mistakes)
     offered = _offered(problem, measurement)
     plain = regressions(measurement, joint, conditioned)
     progress("calibrating the joint", 0.02)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit import regions
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
+from flexspline.models.recording import Measurement, Recording
 
 pytestmark = pytest.mark.long
 
@@ -74,6 +76,18 @@ def test_nothing_hidden_is_consistent(joint, seed):
     measurement, _ = measure(joint, seed)
     d = diagnose(measurement, joint)
     assert d.verdict == "consistent", [(c.name, c.parameters) for c in d.causes]
+
+
+def test_a_joint_at_rest_keeps_its_description():
+    joint = load_joint("csg-14-100-ec45")  # orders of unknown phase
+    rng, n = np.random.default_rng(1), 3000
+    noise = {"motor_position": 1e-3, "link_position": 1e-5, "motor_current": 0.02}
+    columns = {name: rms * rng.standard_normal(n) for name, rms in noise.items()}
+    d = diagnose(
+        Measurement("m", Path(), (Recording("r", 1e-3 * np.arange(n), columns, link=joint.mount("no_load")),)), joint
+    )
+    assert d.verdict == "inconclusive" and d.reason == "nothing moves"
+    assert d.extended.kinematic_error == joint.kinematic_error
 
 
 @pytest.mark.slow
