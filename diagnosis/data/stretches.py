@@ -30,7 +30,7 @@ def most_telling(measurement: Measurement, seconds: float = LONGEST) -> Measurem
         return measurement
     pieces = [(index, piece) for index, r in enumerate(measurement.recordings) for piece in _pieces(r)]
     covered = _covered(measurement.recordings, pieces)
-    lasts = [float(np.ptp(measurement.recordings[index].time[piece])) for index, piece in pieces]
+    lasts = [(piece.stop - piece.start) * measurement.recordings[index].interval for index, piece in pieces]
     total, chosen, left = np.zeros(covered.shape[1]), [], seconds
     open_ = np.ones(len(pieces), bool)
     while open_.any() and left > 0:
@@ -60,7 +60,8 @@ def shortened(recording: Recording, seconds: float) -> Recording:
 def _pieces(recording: Recording) -> Iterator[slice]:
     """Yield pieces of about `_PIECE` seconds of each segment."""
     for part in recording.segments:
-        count = max(round((recording.time[part.stop - 1] - recording.time[part.start]) / _PIECE), 1)
+        lasting = round((recording.time[part.stop - 1] - recording.time[part.start]) / _PIECE)
+        count = min(max(lasting, 1), part.stop - part.start)
         edges = np.linspace(part.start, part.stop, count + 1).astype(int)
         yield from (slice(a, b) for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 

@@ -50,6 +50,13 @@ def test_of_many_recordings_those_that_add_something_are_taken():
     assert sum(len(r.time) for r in kept) / 100.0 < LONGEST + 6.0
 
 
+def test_a_segment_with_fewer_samples_than_pieces_is_used():
+    long = recording(rate=100.0, seconds=5.0)
+    slow = replace(long, time=long.time * 1000.0)
+    (kept,) = most_telling(measurement(slow)).recordings
+    assert 2 <= len(kept.time) < len(slow.time)
+
+
 def test_a_diagnosis_says_which_part_it_used():
     long = measurement(recording(rate=100.0, seconds=130.0))
     found = diagnose(long, load_joint("test-joint"), seconds=0.1)
