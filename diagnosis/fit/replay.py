@@ -41,6 +41,9 @@ _RUNAWAY = 1e5  # rad/s: a speed of the wave generator that no joint reaches
 _STIFFEST = 2.5
 """Torque of the wave generator's compliance beyond any that a joint carries, in torques of its motor at the limit."""
 
+_UNRESOLVED = 6.0
+"""Pulsation of the wave generator against rotor and link, times the step, that a step does not resolve."""
+
 INNER = np.dtype(
     [
         (name, np.float64)
@@ -196,6 +199,9 @@ def _transmission(p, given, begin, end, moving, inner):
         moving.link_acceleration,
     )  # fmt: skip
     phi, phi_rate, stiffness = moving.flexible_position, moving.flexible_velocity, moving.stiffness
+    # A midpoint step leaves so fast a pulsation undamped: springs of so light a wave generator act up to h/2 earlier.
+    unresolved = max(1.0 - _UNRESOLVED**2 * p.Jw / (h * h * (p.Kw0 + p.K1 / p.N**2)), 0.0)
+    more_dw, more_df = 0.5 * h * unresolved * p.Kw0, 0.5 * h * unresolved * p.K1
     v_before, a_before = _before(rotor, h)
     first = -_LEAD if v_before != 0.0 else 0
     for step in range(begin if begin > 0 else first, end):
@@ -244,26 +250,33 @@ def _transmission(p, given, begin, end, moving, inner):
             g = dynamics.sliding_friction(middle, t.load, p)
             z_middle = laws.bristle_step(z, w, g, 0.5 * h, p)
             middle = State(m, vm, x, w, l, vl, z_middle, middle.dahl, 0.0, time[i], temperature[i])
-            force = t.wave_generator_torque - dynamics.mesh_torque(middle, t.load, g, p) - t.flexspline_torque * t.ratio
+            loss = t.torsion_rate * more_df
+            force = t.wave_generator_torque + more_dw * (vm - w) - dynamics.mesh_torque(middle, t.load, g, p)
+            force -= (t.flexspline_torque + loss) * t.ratio
             sliding = p.s0 * z_middle / g * np.sign(w)
             sticking = max(1.0 - sliding, 0.0)
             kf = p.K1
-            stiffness = laws.wave_generator_stiffness(m - x, p) + kf * t.ratio * t.ratio + p.s0 * sticking
-            damping = p.dw + p.bw + p.df * t.ratio * t.ratio + p.s1 * sticking
+            # Friction that grows with the load grows with torsion and its rate: an explicit one rings on a light rotor.
+            grip = t.ratio
+            if p.friction_load != 0.0 and t.load * w >= 0.0:
+                kept = math.exp(-0.5 * h * p.s0 * abs(w) / g)  # of the bristle's deflection
+                grip = grip + (1.0 - kept + kept * p.s1 * abs(w) / g) * p.friction_load / p.N
+            stiffness = laws.wave_generator_stiffness(m - x, p) + kf * t.ratio * grip + p.s0 * sticking
+            damping = p.dw + more_dw + p.bw + (p.df * grip + more_df * t.ratio) * t.ratio + p.s1 * sticking
             a11 = p.Jw + h * ((0.25 - 0.125 * bent) * h * stiffness + 0.5 * damping)
             if measured:
                 change = h * force / a11
                 w_middle = w + 0.5 * change
             else:
-                push = t.flexspline_torque - p.bl * vl + dynamics.link_torque(middle, t.load, p)
+                push = t.flexspline_torque + loss - p.bl * vl + dynamics.link_torque(middle, t.load, p)
                 push += _known_torque(external, i, p)
                 push += laws.flexible_torque(phi, phi_rate, p)
-                spring = 0.25 * h * kf + 0.5 * p.df
+                spring = 0.25 * h * kf + 0.5 * (p.df + more_df)
                 a22 = rigid + h * (spring + 0.5 * p.bl)
-                a12 = -h * spring * t.ratio
-                det = a11 * a22 - a12 * a12
+                a12, a21 = -h * spring * grip, -h * spring * t.ratio
+                det = a11 * a22 - a12 * a21
                 change = h * (a22 * force - a12 * push) / det
-                link_change = h * (a11 * push - a12 * force) / det
+                link_change = h * (a11 * push - a21 * force) / det
                 w_middle = w + 0.5 * change
                 vl_middle = vl0 + 0.5 * link_change
                 l1 = l0 + h * vl_middle
