@@ -169,31 +169,39 @@ def held_out_regions(
     system = NormalEquations(problem, f) if system is None else system
     described = encoder_zero.described(problem) if described is None else described
     scale = problem.output_scale
-    found = []
-    for name, masks in region_masks(problem).items():
-        use = [
-            (s.usable | s.held_out) & ~s.at_rest[:, None] & mask[:, None]
-            for s, mask in zip(problem.segments, masks, strict=True)
-        ]
-        samples = int(sum(u.any(axis=1).sum() for u in use))
-        moving = [(s.usable & ~s.at_rest[:, None]).any(axis=1) for s in problem.segments]
-        rest = int(sum((x & ~m).sum() for x, m in zip(moving, masks, strict=True)))
-        if samples < FEWEST or rest < FEWEST:
-            continue
-        shift = system.without(masks)
-        unseen = [r + share * (J @ shift) for r, J in zip(f.point.residual, f.jacobian, strict=True)]
-        before, seen, after, noise = (_rms(x, use, scale) for x in (described, f.point.residual, unseen, f.point.noise))
+    moving = [(s.usable & ~s.at_rest[:, None]).any(axis=1) for s in problem.segments]
+
+    def region(name: str, unseen: Columns) -> Region:
+        before, seen, after, noise = (
+            _rms(x, use[name], scale) for x in (described, f.point.residual, unseen, f.point.noise)
+        )
         formed = np.isfinite(before)
         # The noise in both: where only noise is left, neither is worse.
         floor = np.nansum(noise**2)
         ratio = float(np.sqrt((np.nansum(after**2) + floor) / max(np.nansum(before**2) + floor, 1e-300)))
-        described_rms, extended_rms, unseen_rms = (
-            float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after)
-        )
-        found.append(
-            Region(name, name.startswith("recording "), samples, described_rms, extended_rms, unseen_rms, ratio)
-        )
-    return tuple(sorted(found, key=lambda r: -r.ratio))
+        each = (float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after))
+        return Region(name, name.startswith("recording "), samples[name], *each, ratio)
+
+    use, samples, shifts, found = {}, {}, {}, {}
+    for name, masks in region_masks(problem).items():
+        inside = [
+            (s.usable | s.held_out) & ~s.at_rest[:, None] & mask[:, None]
+            for s, mask in zip(problem.segments, masks, strict=True)
+        ]
+        count = int(sum(u.any(axis=1).sum() for u in inside))
+        rest = int(sum((x & ~m).sum() for x, m in zip(moving, masks, strict=True)))
+        if count < FEWEST or rest < FEWEST:
+            continue
+        use[name], samples[name], shifts[name] = inside, count, share * system.without(masks)
+        found[name] = region(name, [r + J @ shifts[name] for r, J in zip(f.point.residual, f.jacobian, strict=True)])
+    # A shift may be too large for the linear model: where it predicts harm, the replay decides.
+    doubted = [name for name, one in found.items() if one.worse]
+    replayed = (
+        problem.residuals([f.theta + shifts[name] for name in doubted], [f.model] * len(doubted)) if doubted else []
+    )
+    for name, unseen in zip(doubted, replayed, strict=True):
+        found[name] = region(name, unseen)
+    return tuple(sorted(found.values(), key=lambda r: -r.ratio))
 
 
 def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndarray:
