@@ -49,7 +49,8 @@ class SegmentSettings:
       held_out_block, held_out_every: length [s] of held-out blocks, every n-th of which is held out.
       settle_time: at both ends of a segment, where smoother and transmission settle [s].
       settle_travel: of the rotor, after which the unknown initial state of the friction is forgotten [rad].
-      rest_travel: of the rotor within ±40 ms, below which encoder counts and presliding friction do not average out [rad].
+      rest_travel: of the rotor within ±40 ms, below which presliding friction does not average out [rad]; rest_counts: encoder
+        counts, below which these do not.
       shortest: least samples and seconds of a segment.
       block: most residuals that count as one, for slow motion with noise above.
       above_noise: least power ratio of measured acceleration to its noise that counts as motion.
@@ -64,6 +65,7 @@ class SegmentSettings:
     settle_time: float = 0.06
     settle_travel: float = 0.6
     rest_travel: float = 0.06
+    rest_counts: float = 2.0
     shortest: tuple[int, float] = (50, 0.5)
     block: int = 8
     above_noise: float = 10.0
@@ -263,7 +265,7 @@ def _segment(
     at = decimate(since)
     state = decimate(np.column_stack([rotor[:, 0], link[:, 0], rotor[:, 1], link[:, 1], link[:, 2]]))
     measured = decimate(read)
-    at_rest = _at_rest(state[:, 0], settings.rest_travel)
+    at_rest = _at_rest(state[:, 0], max(settings.rest_travel, settings.rest_counts * _rotor_count(recording, joint, p)))
     # With one encoder the sensor is compared with the link's motion, measured or simulated.
     transmitted = has["joint_torque"] and (link_measured or not weighed)
     balances = np.array([has["motor_current"], transmitted, weighed])
@@ -308,8 +310,7 @@ def _smoothed(
     if "motor_position" in conditioned.recording:
         return smooth(time, values, STEP, cutoff), passband(time, cutoff), settings.settle_time
     readings = min([CUTOFF, *(SHARE * conditioned.channels[name].rate for name in conditioned.news)])
-    following = max(settings.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), settings.slowest)
-    following = min(following, cutoff)
+    following = _following(p, conditioned, settings)
     s = _joined(
         [name in ENCODERS for name in (*names, *names)],
         smooth(time, values, STEP, following),
@@ -318,6 +319,12 @@ def _smoothed(
     if weighed:  # what is held against each other goes through one smoother
         s = _joined([name in _WEIGHING for name in (*names, *names)], smooth(time, values, STEP, cutoff), s)
     return s, passband(time, readings, settings.readings), max(settings.settle_time, 1 / passband(time, following))
+
+
+def _following(p: np.void, conditioned: Conditioned, settings: SegmentSettings) -> float:
+    """Passband of the rotor's motion from the link encoder [Hz]."""
+    resonance = float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi)
+    return min(max(settings.following * resonance, settings.slowest), conditioned.passband)
 
 
 def _residuals_at_once(
@@ -330,9 +337,12 @@ def _residuals_at_once(
     settings: SegmentSettings,
 ) -> int:
     """Return how many residuals count as one (`SegmentSettings.block`): above its passband a motion has no information."""
-    block = int(np.clip(0.5 / (STEP * DECIMATION * conditioned.passband), 1, settings.block))
+    current = one.balances[CURRENT] and not one.rotor_measured
+    # An octave above the passband 1.5 % of a motion pass the smoother.
+    shown = 2 * _following(p, conditioned, settings) if current else conditioned.passband
+    block = int(np.clip(0.5 / (STEP * DECIMATION * shown), 1, settings.block))
     if not one.link_measured:
-        return block if one.rotor_measured else 1
+        return block
     if conditioned.stamps.error:
         return settings.block  # replicates do not have errors of time
     block = max(block, _block((one.rotor, one.link), (rotor_noise, link_noise), settings))
@@ -451,6 +461,12 @@ def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, sett
 def _own_torque(p: np.void, state: np.ndarray) -> np.ndarray:
     """Return the torque [N·m] of the link's gravity and inertia, shape (k,)."""
     return p["Mg"] * np.sin(state[:, 1] + p["gravity_angle"]) + p["Jl"] * state[:, 4]
+
+
+def _rotor_count(recording: Recording, joint: Joint, p: np.void) -> float:
+    """Return a count of the encoder that shows the rotor's motion [rad of the rotor]."""
+    s = joint.sensors
+    return s.motor_encoder.resolution if "motor_position" in recording else p["N"] * s.link_encoder.resolution
 
 
 def _at_rest(theta_m: np.ndarray, travel: float) -> np.ndarray:
