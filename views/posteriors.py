@@ -35,17 +35,11 @@ def switching(run: Run) -> list[str]:
 
 @dataclass(frozen=True)
 class Innovation:
-    """Innovation of a filter with one measurement; n samples.
+    """Innovation of a filter with one measurement; n samples."""
 
-    Attributes:
-      values: in the filter's unit, shape (n,).
-      deviation: expected standard deviation √P_Y, shape (n,).
-      nis: normalised innovation squared, shape (n,).
-    """
-
-    values: np.ndarray
-    deviation: np.ndarray
-    nis: np.ndarray
+    values: np.ndarray  # in the filter's unit, shape (n,)
+    deviation: np.ndarray  # expected standard deviation √P_Y, shape (n,)
+    nis: np.ndarray  # normalised innovation squared, shape (n,)
 
 
 def innovations(run: Run) -> dict[str, Innovation]:

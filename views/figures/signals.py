@@ -16,8 +16,7 @@ from .sheet import PIXELS
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
-SHARE_WINDOW = 0.25
-"""Window [s] over which the working mode is shown as a share of the time."""
+SHARE_WINDOW = 0.25  # window [s] over which the working mode is shown as a share of the time
 _DENSE = 8  # samples per column of pixels above which a noisy line is drawn as a band
 _NOISY = 60.0  # sum of changes relative to the range above which a line is noisy
 

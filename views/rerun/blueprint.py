@@ -15,17 +15,11 @@ from .recording import SHARED_TIME, layout, series_view
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
-SHARE_WINDOW = 0.25
-"""Window [s] of the share of the time in robust mode."""
+SHARE_WINDOW = 0.25  # window [s] of the share of the time in robust mode
 
 
 def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
-    """Return the layout of a run.
-
-    Args:
-      run: the run.
-      reach: of the link [m], for the camera.
-    """
+    """Return the layout of a run; `reach`: of the link [m], for the camera."""
     names = list(run.estimates)
     limits = _error_limits(run, main_filter(names))
     pushed = bool(np.any(run.external_torque))
@@ -33,20 +27,10 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
 
 
 def run_panels(
-    names: Sequence[str],
-    stated: Collection[str],
-    pushed: bool,
-    reach: float,
-    limits: tuple[float, float] | None = None,
+    names: Sequence[str], stated: Collection[str], pushed: bool, reach: float, limits: tuple[float, float] | None = None
 ) -> rrb.Container:
-    """Return the panels of a run.
-
-    Args:
-      names: of its filters. stated: filters with innovations.
-      pushed: whether there is an external torque.
-      reach: of the link [m].
-      limits: of the panel of errors [N·m]; by default those of the errors.
-    """
+    """Return the panels of a run. `stated`: filters with innovations; `pushed`: whether there is an external torque;
+    `reach`: of the link [m]; `limits`: of the panel of errors [N·m], by default theirs."""
     main = main_filter(names)
     joint = joint_view("Joint: torque true (green), estimated, external (pink)", "scene", reach)
     # All panels have the same colours: one legend is enough.

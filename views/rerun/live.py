@@ -36,12 +36,7 @@ class LiveRecording:
     """Shows the stretches of a run in a viewer."""
 
     def __init__(self, stream: rr.RecordingStream, start: Run):
-        """Show the scenario.
-
-        Args:
-          stream: to a viewer, a file or memory.
-          start: the run before its first tick.
-        """
+        """Show the scenario in a stream to a viewer, a file or memory; `start`: the run before its first tick."""
         self._stream, self._time = stream, start.time
         self._model = shape(start.joint)
         self._colors = filter_colors(f.name for f in start.scenario.filters)
