@@ -10,6 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from ..scenarios.run import Run
 
+SHARE_WINDOW = 0.25  # window [s] over which the working mode is shown as a share of the time
+
 
 def settled(run: Run) -> np.ndarray:
     """Return the samples after the transient, shape (n,), bool."""

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun.blueprint as rrb
 
-from ..posteriors import innovations
+from ..posteriors import SHARE_WINDOW, innovations, settled
 from ..style import main_filter
 from .recording import SHARED_TIME, layout, series_view
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
-
-SHARE_WINDOW = 0.25  # window [s] of the share of the time in robust mode
 
 
 def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
@@ -83,6 +81,5 @@ def joint_view(name: str, origin: str, reach: float) -> rrb.Spatial3DView:
 
 def _error_limits(run: Run, name: str) -> tuple[float, float]:
     """Limits of the error panel [N·m]: 1.5 times the main filter's largest error after the transient."""
-    settled = run.time >= run.scenario.transient
-    limit = 1.5 * float(np.abs((run.estimate(name) - run.truth("joint_torque"))[settled]).max())
+    limit = 1.5 * float(np.abs((run.estimate(name) - run.truth("joint_torque"))[settled(run)]).max())
     return -limit, limit

@@ -8,9 +8,9 @@ import numpy as np
 import rerun as rr
 
 from ...sim.shape import shape
-from ..posteriors import innovations, modes, settled
+from ..posteriors import SHARE_WINDOW, innovations, modes, settled
 from ..style import filter_colors
-from .blueprint import SHARE_WINDOW, run_panels
+from .blueprint import run_panels
 from .recording import POINTS, layout
 from .run import (
     MODE_WINDOW,

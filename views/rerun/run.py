@@ -10,11 +10,11 @@ import numpy as np
 import rerun as rr
 
 from ...sim.shape import shape
-from ..posteriors import innovations, modes, switching
+from ..posteriors import SHARE_WINDOW, innovations, modes, switching
 from ..series import share
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors
 from ..tables import comparison_markdown
-from .blueprint import SHARE_WINDOW, run_blueprint
+from .blueprint import run_blueprint
 from .recording import POINTS, TIMELINE, is_new, recording, rgb, send_series
 from .scene import reach, send_scene
 
