@@ -146,11 +146,8 @@ def _check_address_space() -> None:
 
 
 def _usable(value: Any, key: str) -> Any:
-    """Return an option's value, of a path with `~` replaced by the home folder.
-
-    Raises:
-      InputError: a number that is infinite or tiny, no home folder, text that is not UTF-8, a link to itself.
-    """
+    """Return an option's value, of a path with `~` replaced by the home folder. Raises `InputError`: a number that is
+    infinite or tiny, no home folder, text that is not UTF-8, a link to itself."""
     if isinstance(value, float) and not (value == 0.0 or 1e-100 < abs(value) < 1e100):
         raise InputError(f"{key.replace('_', '-')}: expected 0 or a number from 1e-100 to 1e100, got {value:g}")
     if isinstance(value, (list, tuple)):
@@ -194,8 +191,7 @@ def main() -> None:
         raise
 
 
-_UNREAD = 141
-"""Exit code where the reader closed the output: that of shells for SIGPIPE."""
+_UNREAD = 141  # exit code where the reader closed the output: that of shells for SIGPIPE
 
 
 def _drop_unread(streams: Iterable[TextIO]) -> bool:
@@ -272,8 +268,7 @@ def _show_warning(message: Warning | str, category: type[Warning], *where: Any, 
         _default_show_warning(message, category, *where, **more)
 
 
-_UsageError: Any = typer.BadParameter.__base__
-"""What Typer raises for a wrong call; its own class has no public name."""
+_UsageError: Any = typer.BadParameter.__base__  # what Typer raises for a wrong call; its own class has no public name
 
 
 def _explain(error: Any) -> NoReturn:

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-_WIDTH = 132
-"""Columns where the output is not a terminal."""
+_WIDTH = 132  # columns where the output is not a terminal
 
 
 def console() -> Console:

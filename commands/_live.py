@@ -18,29 +18,20 @@ if TYPE_CHECKING:
     from ..scenarios.run import Run
     from ..views.rerun import LiveRecording
 
-ADDRESS = "127.0.0.1"
-"""Address of the viewer: this computer only."""
-UPDATE = 0.04
-"""Time between two updates of the viewer [s]."""
-_LONGEST = 1.0
-"""Longest time between two updates on a slow computer [s]."""
-_PATIENCE = 30.0
-"""Time for a viewer to open [s]."""
+ADDRESS = "127.0.0.1"  # address of the viewer: this computer only
+UPDATE = 0.04  # time between two updates of the viewer [s]
+_LONGEST = 1.0  # longest time between two updates on a slow computer [s]
+_PATIENCE = 30.0  # time for a viewer to open [s]
 
 
 def show_live(live: LiveRun, words: list[str], environment: dict[str, str], port: int, speed: float) -> Run | None:
-    """Open a viewer, and run a scenario in it.
-
-    Args:
-      live: the scenario.
-      words, environment: of the viewer's process, which listens on `port`.
-      speed: seconds of the scenario per second.
-
-    Returns:
-      The whole run after the viewer is closed; None if it was closed before the end.
+    """Open a viewer, and run a scenario in it at `speed` seconds per second; `words`, `environment`: of the viewer's
+    process, which listens on `port`. Return the whole run after the viewer is closed; None if it was closed before the
+    end.
 
     Raises:
-      InputError: a viewer that does not open. InputError, FilterDiverged: as `scenarios.run.run_scenario`.
+      InputError: a viewer that does not open.
+      InputError, FilterDiverged: as `scenarios.run.run_scenario`.
     """
     os.environ.setdefault("RUST_LOG", "off")  # a closed viewer is not an error
     import rerun as rr
@@ -69,11 +60,8 @@ def play(
     first: Run | None = None,
     viewer: subprocess.Popen[bytes] | None = None,
 ) -> Run | None:
-    """Run a scenario at `speed`, or as fast as possible, and show every stretch; `first`: stretch that is already simulated.
-
-    Returns:
-      The whole run; None if the viewer was closed before its end.
-    """
+    """Run a scenario at `speed`, or as fast as possible, and show every stretch; `first`: stretch that is already
+    simulated. Return the whole run; None if the viewer was closed before its end."""
     begin = time.monotonic() - live.done / speed
     if first is not None:
         shown.send(first)

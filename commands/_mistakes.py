@@ -14,11 +14,8 @@ if TYPE_CHECKING:
 
 
 def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], command: str = "", corrected: bool = False) -> None:
-    """Print mistakes with their corrections.
-
-    Args:
-      command: line that corrects them, empty if there is none. corrected: whether they are corrected already.
-    """
+    """Print mistakes; `command`: line that corrects them, if there is one; `corrected`: whether they are corrected
+    already."""
     if not mistakes:
         terminal.print("no mistake in the data was found")
         return

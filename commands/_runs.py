@@ -20,18 +20,12 @@ if TYPE_CHECKING:
     from ..scenarios.run import Run
     from ..scenarios.scenario import Scenario
 
-_TUNED_FOR = "test-joint"
-"""The joint for which the estimators' defaults were tuned."""
-PAPER = ["no_load", "link_sweep", "external_push"]
-"""The paper's three experiments."""
+_TUNED_FOR = "test-joint"  # the joint for which the estimators' defaults were tuned
+PAPER = ["no_load", "link_sweep", "external_push"]  # the paper's three experiments
 
 
 def load_all(names: list[str], changes: list[str] | None) -> list[tuple[Scenario, Path]]:
-    """Load scenarios, with the folders of their files.
-
-    Raises:
-      InputError: a scenario that is wrong, or named twice.
-    """
+    """Load scenarios, with the folders of their files. Raises `InputError`: a scenario that is wrong, or named twice."""
     from ..scenarios.scenario import load_scenario
 
     loaded = [load_scenario(name, changes) for name in names]
@@ -89,8 +83,7 @@ def _import(figures: bool, recording: bool) -> None:
         importlib.import_module(name)
 
 
-_drawing = threading.Lock()
-"""Held while figures are drawn: matplotlib's settings are those of the whole process."""
+_drawing = threading.Lock()  # held while figures are drawn: matplotlib's settings are those of the whole process
 
 
 def _draw_figures(run: Run, folder: Path) -> None:

@@ -11,10 +11,7 @@ from ._listing import AsJson
 from ._measurement import load_measurement
 from ._options import OtherJoint, ResultFolder, with_plugins
 
-EXAMPLES = (
-    "flexspline bode measurement --out bode",
-    "flexspline bode my_chirp.yaml --out bode",
-)
+EXAMPLES = ("flexspline bode measurement --out bode", "flexspline bode my_chirp.yaml --out bode")
 
 
 @with_plugins

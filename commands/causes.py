@@ -5,10 +5,7 @@ from __future__ import annotations
 from ._listing import AsJson
 from ._options import with_plugins
 
-EXAMPLES = (
-    "flexspline causes",
-    "flexspline causes --json --plugin my_cause.py",
-)
+EXAMPLES = ("flexspline causes", "flexspline causes --json --plugin my_cause.py")
 
 
 @with_plugins

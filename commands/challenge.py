@@ -13,6 +13,7 @@ import typer
 
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
+from ..models.processes import single_threaded
 from ._listing import AsJson
 from ._options import Jobs, with_plugins
 
@@ -105,8 +106,7 @@ def command(
     if cause and hidden and set(hidden) == {Hidden.none}:
         raise InputError("--cause: expected --hidden one, two or outside, got --hidden none, which hides nothing")
     scanned = _sizes(sizes) if sizes else (size,)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # inherited by the processes
+    single_threaded()
     from ..diagnosis.trials import score
     from ..diagnosis.trials.draw import Challenge
     from ._console import console, progress

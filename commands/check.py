@@ -15,18 +15,11 @@ if TYPE_CHECKING:
     from ..diagnosis.data.coverage import RecordingSummary
     from ..models.recording import Measurement, Recording
 
-EXAMPLES = (
-    "flexspline check measurement",
-    "flexspline check measurement --joint my_joint.yaml --json",
-)
+EXAMPLES = ("flexspline check measurement", "flexspline check measurement --joint my_joint.yaml --json")
 
 
 @with_plugins
-def command(
-    measurement: MeasurementPath,
-    joint: OtherJoint = None,
-    as_json: AsJson = False,
-) -> Any:
+def command(measurement: MeasurementPath, joint: OtherJoint = None, as_json: AsJson = False) -> Any:
     """Check a measurement: what it contains, mistakes in it, what is missing, and which causes it cannot show."""
     from ..diagnosis.check import check
     from ..diagnosis.data import coverage

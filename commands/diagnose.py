@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from ..views.report import Report
 
-_SEARCHING = 0.7
-"""Share of the time for the search; estimation, planning and writing take the rest."""
+_SEARCHING = 0.7  # share of the time for the search; estimation, planning and writing take the rest
 
 EXAMPLES = (
     "flexspline diagnose measurement --out diagnosis",
@@ -114,11 +113,7 @@ def _check_apart(measurement: Path, out: Path) -> None:
 
 
 def show(terminal: Console, report: Report, written: bool) -> None:
-    """Print the answer, and what to do now.
-
-    Args:
-      report: to print; written: whether it was written, too.
-    """
+    """Print the answer, and what to do now; `written`: whether the report was written, too."""
     from rich.markdown import Markdown
 
     from ..views.report import markdown

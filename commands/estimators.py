@@ -5,10 +5,7 @@ from __future__ import annotations
 from ._listing import AsJson
 from ._options import with_plugins
 
-EXAMPLES = (
-    "flexspline estimators",
-    "flexspline estimators --plugin my_filter.py --json",
-)
+EXAMPLES = ("flexspline estimators", "flexspline estimators --plugin my_filter.py --json")
 
 
 @with_plugins

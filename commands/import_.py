@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from ..models.joint import Joint
     from ..models.recording import Measurement, Recording
 
-_ENDS = (".parquet", ".yaml", "_arm.xml")
-"""Ends of the names of a recording's files."""
+_ENDS = (".parquet", ".yaml", "_arm.xml")  # ends of the names of a recording's files
 EXAMPLES = (
     "flexspline import --propose log.csv",
     "flexspline import mapping.yaml log.csv --out measurement",
@@ -51,11 +50,7 @@ def command(
     ] = False,
     fix: Annotated[bool, typer.Option("--fix", help="correct the mistakes that `flexspline check` finds")] = False,
     force: Annotated[
-        bool,
-        typer.Option(
-            "--force",
-            help="replace imported recordings with these names; edited YAML files are kept",
-        ),
+        bool, typer.Option("--force", help="replace imported recordings with these names; edited YAML files are kept")
     ] = False,
     as_json: AsJson = False,
 ) -> Any:

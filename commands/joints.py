@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from ._listing import AsJson
 
-EXAMPLES = (
-    "flexspline joints",
-    "flexspline joints --json",
-)
+EXAMPLES = ("flexspline joints", "flexspline joints --json")
 
 
 def command(as_json: AsJson = False) -> None:

@@ -12,10 +12,7 @@ from ._listing import AsJson
 from ._measurement import load_measurement
 from ._options import OtherJoint, with_plugins
 
-EXAMPLES = (
-    "flexspline plan measurement",
-    "flexspline plan diagnosis --json",
-)
+EXAMPLES = ("flexspline plan measurement", "flexspline plan diagnosis --json")
 
 
 @with_plugins

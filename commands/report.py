@@ -13,8 +13,7 @@ from ..models.errors import InputError
 from ._listing import AsJson
 from ._options import with_plugins
 
-HOLDS = "a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact"
-"""What a folder may hold."""
+HOLDS = "a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact"  # what a folder may hold
 _MARK = '<meta name="generator" content="flexspline">'
 
 EXAMPLES = (
@@ -52,15 +51,9 @@ def command(
 
 
 def write_page(folders: Sequence[Path], out: Path) -> None:
-    """Write one self-contained HTML page of results (`flexspline.report`).
-
-    Args:
-      folders: one folder with results (`HOLDS`), or those of two diagnoses of a joint, before and after.
-      out: the page; only a page of this program is replaced.
-
-    Raises:
-      InputError: a folder with other content; another file in place of the page.
-    """
+    """Write one self-contained HTML page (`flexspline.report`) of a folder with results (`HOLDS`), or of two diagnoses
+    of a joint, before and after; only a page of this program is replaced. Raises `InputError`: a folder with other
+    content; another file in place of the page."""
     from ..models.files import write_text
 
     _check(out)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from ._listing import AsJson
 
-EXAMPLES = (
-    "flexspline scenarios",
-    "flexspline scenarios --json",
-)
+EXAMPLES = ("flexspline scenarios", "flexspline scenarios --json")
 
 
 def command(as_json: AsJson = False) -> None:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from ._listing import AsJson
 
-EXAMPLES = (
-    "flexspline studies",
-    "flexspline studies --json",
-)
+EXAMPLES = ("flexspline studies", "flexspline studies --json")
 
 
 def command(as_json: AsJson = False) -> None:

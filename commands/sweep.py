@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..models.processes import single_threaded
 from ._listing import AsJson
 from ._options import Jobs, shipped, with_plugins
 
@@ -44,8 +45,7 @@ def command(
     again; the rows are the same to the bit. At the end it writes `summary.md` and `summary.csv`, means with 95 % intervals and
     differences paired over seeds, figures, and the worst run of every scenario, to run again.
     """
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # one joint per thread
+    single_threaded()
     from ..models.output import at_end, check_output
     from ..scenarios.studies.statistics import summary_rows
     from ..scenarios.studies.sweep import sweep

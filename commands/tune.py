@@ -69,17 +69,8 @@ def command(
         names = ", ".join(scenario.name for scenario, _ in group)
         with progress() as bar:
             task = bar.add_task(f"{names}: simulating", total=len(chosen))
-            found = tuning.tune_all(
-                chosen,
-                group,
-                training,
-                testing,
-                evaluations,
-                vary,
-                pareto,
-                threads,
-                partial(_advance, bar, task, names),
-            )
+            advance = partial(_advance, bar, task, names)
+            found = tuning.tune_all(chosen, group, training, testing, evaluations, vary, pareto, threads, advance)
             bar.update(task, completed=len(chosen))
         title = f"{names}: tuned on seeds {train}, tested on {test}"
         answer[names] = found.to_json()

@@ -18,12 +18,7 @@ EXAMPLES = ("flexspline validate measurement --joint diagnosis/joint.yaml --out 
 
 
 @with_plugins
-def command(
-    measurement: MeasurementPath,
-    out: ResultFolder,
-    joint: OtherJoint = None,
-    as_json: AsJson = False,
-) -> Any:
+def command(measurement: MeasurementPath, out: ResultFolder, joint: OtherJoint = None, as_json: AsJson = False) -> Any:
     """Compare a measurement with the prediction of a joint's description; nothing is fitted."""
     from ..models.command_lines import mending
     from ..models.errors import InputWarning

@@ -20,8 +20,7 @@ from ._listing import AsJson
 from ._live import ADDRESS, viewer_process
 from ._options import Changes, Seed, shipped, with_plugins
 
-RECORDINGS = ("run.rrd", "report.rrd")
-"""File names of a run's and of a diagnosis's recording."""
+RECORDINGS = ("run.rrd", "report.rrd")  # file names of a run's and of a diagnosis's recording
 _MAGIC = b"RRF"
 
 EXAMPLES = (
@@ -128,11 +127,8 @@ def _overlaid(folders: list[Path], web: bool) -> int:
 
 
 def overlay(folders: list[Path], path: Path) -> Path:
-    """Write a recording of several runs' folders, named by folder or by path.
-
-    Raises:
-      InputError: a folder that is not a run, or named twice.
-    """
+    """Write a recording of several runs' folders, named by folder or by path. Raises `InputError`: a folder that is not
+    a run, or named twice."""
     from ..scenarios.run_folder import load_run
     from ..views.rerun import write_rerun_overlay
 
@@ -146,13 +142,8 @@ def overlay(folders: list[Path], path: Path) -> Path:
 
 
 def viewer_command(recording: Path | None, web: bool = False, port: int | None = None) -> list[str]:
-    """Return the command line of a viewer; every port is bound to this computer only.
-
-    Args:
-      recording: to open; None: wait for data.
-      web: in the browser.
-      port: for data; by default any free port.
-    """
+    """Return the command line of a viewer of a recording, or of one that waits for data at a port; every port is bound
+    to this computer only."""
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
@@ -169,11 +160,8 @@ def viewer_environment() -> dict[str, str]:
 
 
 def find_recording(run: Path) -> Path:
-    """Return the Rerun recording in a folder of a run or a diagnosis, the only one in another folder, or the recording itself.
-
-    Raises:
-      InputError: there is none, or it is not a Rerun recording.
-    """
+    """Return the Rerun recording in a folder of a run or a diagnosis, the only one in another folder, or the recording
+    itself. Raises `InputError`: there is none, or it is not a Rerun recording."""
     if not run.exists():
         raise InputError(f"{run}: expected a folder of a run or a diagnosis, or an .rrd recording, found nothing")
     recording = run

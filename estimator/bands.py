@@ -33,14 +33,10 @@ from ..models.uncertainty import independent_changes, moved, principal
 from . import registry, smoothed
 from .estimator import KnownJoint
 
-SIGMAS = 1.96
-"""Standard deviations of a 95 % band."""
-LEFT = 0.01
-"""Share of the energy of simple torques' changes that may be left out."""
-MOST = 8
-"""Directions at most."""
-RATE = 250.0
-"""Sample rate [Hz] to which a recording is thinned for all changes except noise."""
+SIGMAS = 1.96  # standard deviations of a 95 % band
+LEFT = 0.01  # share of the energy of simple torques' changes that may be left out
+MOST = 8  # directions at most
+RATE = 250.0  # sample rate [Hz] to which a recording is thinned for all changes except noise
 _PROBE = 0.005  # test error, in rated torques
 _MEMORY = 0.3  # s, correlation time of the test errors
 _AVERAGE = 0.5  # s, over which its response to noise is averaged
@@ -71,15 +67,8 @@ def deviations(
     run: Run[Key],
     threads: int = 2,
 ) -> dict[Key, np.ndarray]:
-    """Return the standard deviation of every estimate of a segment, shape (n,) each.
-
-    Args:
-      estimated: the estimates, shape (n,) each.
-      signals: of the segment, n samples.
-      known: what estimators know of the joint; joint: its description, in `mounting`.
-      run: estimates the segment.
-      threads: for the cases.
-    """
+    """Return the standard deviation of every estimate of a segment, shape (n,) each, as `estimated`, what `run` gives
+    for its signals. `joint`: the description of what is `known`, in `mounting`; `threads`: for the cases."""
     signals, rng = smoothed.in_amperes(signals, known), np.random.default_rng(_SEED)
     time, probes = signals.time, dict[str, float]()
     noisy = _noisier(signals, known, rng)
@@ -114,13 +103,8 @@ def deviations(
 
 
 def reference_torque(signals: Signals, known: KnownJoint) -> np.ndarray:
-    """Return a joint torque without lag [N·m], shape (n,): from torsion if both encoders were read, else from the
-    current.
-
-    Args:
-      signals: prepared (`offline.prepare`).
-      known: likewise.
-    """
+    """Return a joint torque without lag [N·m], shape (n,), by prepared signals (`offline.prepare`): from torsion if
+    both encoders were read, else from the current."""
     names = ("model", "current_smoothed")
     chosen = next((name for name in names if set(registry.get(name).needs) <= set(signals)), None)
     if chosen is None:

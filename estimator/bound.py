@@ -36,23 +36,19 @@ from .estimator import KnownJoint, SensorNoise
 from .joint_model import DAHL, LINK, LINK_RATE, MESH, MOTOR, SIZE, ProcessNoise
 from .quantised import update as condition
 
-QUIET = ProcessNoise()
-"""Prior of the joint's states. Its `external` is the lowest intensity of an external torque."""
+QUIET = ProcessNoise()  # prior of the joint's states. Its `external` is the lowest intensity of an external torque.
 BANDWIDTH = 20.0
 """Frequency [Hz] up to which a random walk represents an external torque: the bandwidth of the momentum observers."""
 _FINE = 1e-2  # of the estimators' difference steps
 
 
 def walk_intensity(torque: np.ndarray, time: np.ndarray, bandwidth: float = BANDWIDTH) -> float:
-    """Return the intensity q [N·m/√s] of the random walk with the same changes as a torque, up to a bandwidth.
+    """Return the intensity q [N·m/√s] of the random walk with the same changes as a torque [N·m], shape (n,), at even
+    times [s], up to a bandwidth [Hz] of half the sample rate at most.
 
     q² = mean of (τ(t + h) − τ(t))²/h over the record, held at both ends, with h = 1/(2·bandwidth). The changes of a
     walk grow with h, so that any h gives its q. Those of a smooth torque grow with h²: single samples would give a q
     that depends on the sample rate.
-
-    Args:
-      torque: Shape (n,) [N·m]. time: Shape (n,), evenly spaced [s].
-      bandwidth: [Hz]; half the sample rate at most.
     """
     step = float(time[-1] - time[0]) / (len(time) - 1)
     lag = max(round(0.5 / (bandwidth * step)), 1)
@@ -74,11 +70,8 @@ def joint_bound(
     """Return the bound of the joint torque's error variance [(N·m)²], shape (n,), along a true trajectory.
 
     Args:
-      time: Shape (n,) [s].
       states: Shape (n, SIZE), the true states, columns `joint_model.STATES`.
       current: Shape (n,), true motor current [A]. command: in force from a sample to the next [A].
-      record: Shape (1,), the joint's parameters.
-      noise: of the encoders.
       intensity: of the external torque's random walk [N·m/√s]; ≥ 0.
       temperature: Shape (n,), of the gear [°C]; by default the reference temperature.
       others: Shape (k,), the record with one uncertain number each a standard deviation off, independent. By default
@@ -198,13 +191,11 @@ def _jacobian(at, current, command, time, dt, temperature, p, others, noise, F, 
 
 
 def random_walk_bound(W, V, P0: float) -> np.ndarray:
-    """Return the bound, shape (T,), for a random walk seen directly: x(k+1) = x(k) + w, y = x + v, variances W and V(k).
+    """Return the bound, shape (T,), for a random walk seen directly: x(k+1) = x(k) + w, y = x + v, variances W per step
+    and V(k), shape (T,); `P0`: variance at step 0.
 
-    This is the limit of the paper's model, F = H = 1. For constant W, V it settles at the positive root of
-    P² + W P − W V = 0.
-
-    Args:
-        W: variance per step. V: Shape (T,), positive. P0: variance at step 0.
+    This is the limit of the paper's model, F = H = 1. For constant W, V it settles at the positive root of P² + W P − W
+    V = 0.
     """
     V = np.ascontiguousarray(V, dtype=np.float64)
     if not (np.all(V > 0.0) and W >= 0.0 and P0 >= 0.0):

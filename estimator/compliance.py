@@ -29,8 +29,7 @@ from ..models.parameters import PARAMETERS
 from .estimator import KnownJoint
 from .sensing import LOWPASS, RING, VELOCITY, line_in_ring, lowpass, motor_current, place_in_ring
 
-_AHEAD = 2.0
-"""Delays of the link encoder over which the line for the torsion's extrapolation is fitted."""
+_AHEAD = 2.0  # delays of the link encoder over which the line for the torsion's extrapolation is fitted
 _HYSTERESIS = 2.0 * math.pi * 70.0
 """Low-pass [rad/s] of the torsion that drives the hysteresis. A higher one lets counts wear the state away; a lower
 one misses vibrations."""
@@ -60,11 +59,7 @@ class Measured(NamedTuple):
 
 @kernel
 def measure(m, s, p):
-    """Return the compliance model at a sample, `Measured`.
-
-    Args:
-      m: record of `TORSION`, updated. s: record of `models.step.SAMPLE`. p: parameter record.
-    """
+    """Return the compliance model at a sample, `Measured`; `m`: record of `TORSION`, updated."""
     motor = dynamics.actual_motor_position(s.motor_position, p)
     w, beyond = UNREAD, laws.has_discrepancy(p)
     if beyond:
@@ -173,37 +168,22 @@ def measurement_variance(
 
 
 class Compliance(NamedTuple):
-    """Result of the compliance model; every array has the shape of the readings.
+    """Result of the compliance model; every array has the shape of the readings."""
 
-    Attributes:
-      torsion: Δθ, Eq. (1) [rad].
-      wave_generator_torsion: Δθw, Eq. (5) [rad, motor side].
-      kinematic_error: θerr at θw [rad].
-      flexspline_torsion: Δθf, Eq. (6) [rad].
-      torque: Tf, Eq. (7) [N·m].
-    """
-
-    torsion: np.ndarray
-    wave_generator_torsion: np.ndarray
-    kinematic_error: np.ndarray
-    flexspline_torsion: np.ndarray
-    torque: np.ndarray
+    torsion: np.ndarray  # Δθ, Eq. (1) [rad]
+    wave_generator_torsion: np.ndarray  # Δθw, Eq. (5) [rad, motor side]
+    kinematic_error: np.ndarray  # θerr at θw [rad]
+    flexspline_torsion: np.ndarray  # Δθf, Eq. (6) [rad]
+    torque: np.ndarray  # Tf, Eq. (7) [N·m]
 
 
 def compliance(
     motor_position: ArrayLike, link_position: ArrayLike, motor_torque: ArrayLike, calibration: np.ndarray
 ) -> Compliance:
-    """Evaluate the compliance model over arrays of readings.
-
-    Args:
-      motor_position: motor encoder θm [rad, motor side], any shape.
-      link_position: link encoder θl [rad]; same shape, or one that broadcasts.
-      motor_torque: motor torque command [N·m, motor side], used for Tw; likewise.
-      calibration: Shape (1,), a record of `models.parameters.PARAMETERS`.
-
-    Raises:
-      InputError: shapes that do not match, values that are not numbers, or a wrong record.
-    """
+    """Evaluate the compliance model over arrays of readings that broadcast: motor encoder θm [rad, motor side], link
+    encoder θl [rad], motor torque command [N·m, motor side], used for Tw. `calibration`: a record of
+    `models.parameters.PARAMETERS`, shape (1,). Raises `InputError`: shapes that do not match, values that are not
+    numbers, or a wrong record."""
     try:
         given = [np.asarray(a, dtype=np.float64) for a in (motor_position, link_position, motor_torque)]
         readings = np.broadcast_arrays(*given)

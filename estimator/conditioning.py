@@ -47,45 +47,28 @@ _MOVING = 0.2  # of the rms speed
 
 @dataclass(frozen=True)
 class Quality:
-    """Properties of one channel's readings; in its unit.
+    """Properties of one channel's readings; in its unit."""
 
-    Attributes:
-      noise: standard deviation of one reading's white noise in motion, counts included.
-      step: of which all changes are multiples; 0 without steps.
-      rate: of fresh readings [Hz].
-      repeated: share of the samples in motion that repeat an older reading.
-      delay: as described [s].
-      bandwidth: [Hz]: of a described low-pass, or half of its rate.
-    """
-
-    noise: float
-    step: float
-    rate: float
-    repeated: float
-    delay: float
-    bandwidth: float
+    noise: float  # standard deviation of one reading's white noise in motion, counts included
+    step: float  # of which all changes are multiples; 0 without steps
+    rate: float  # of fresh readings [Hz]
+    repeated: float  # share of the samples in motion that repeat an older reading
+    delay: float  # as described [s]
+    bandwidth: float  # [Hz]: of a described low-pass, or half of its rate
 
 
 @dataclass(frozen=True)
 class Conditioned:
-    """A conditioned recording; n samples.
+    """A conditioned recording; n samples."""
 
-    Attributes:
-      recording: with a current, with sample times, and without repeats; the times of its table are
-        `recording.stamps`.
-      channels: properties of its readings, by name.
-      stamps: kind of its stamps.
-      passband: up to which its motion may be differentiated twice [Hz].
-      news: fresh readings of a channel, shape (n,), bool, by name; only channels with repeats.
-      done: the corrections, as sentences.
-    """
-
+    # with a current, with sample times, and without repeats; the times of its table are `recording.stamps`
     recording: Recording
-    channels: Mapping[str, Quality]
-    stamps: Clock
-    passband: float
+    channels: Mapping[str, Quality]  # properties of its readings, by name
+    stamps: Clock  # kind of its stamps
+    passband: float  # up to which its motion may be differentiated twice [Hz]
+    # fresh readings of a channel, shape (n,), bool, by name; only channels with repeats
     news: Mapping[str, np.ndarray] = field(default_factory=dict)
-    done: tuple[str, ...] = ()
+    done: tuple[str, ...] = ()  # the corrections, as sentences
 
     @cached_property
     def rate(self) -> float:
@@ -94,12 +77,7 @@ class Conditioned:
 
 
 def condition(recording: Recording, joint: Joint) -> Conditioned:
-    """Condition a recording of a joint.
-
-    Args:
-      recording: any; it is not changed.
-      joint: the description: its numbers convert an acceleration to a current.
-    """
+    """Condition a recording, which is not changed; the joint's numbers convert an acceleration to a current."""
     done: list[str] = []
     p = joint.record(recording.link)[0]
     columns = dict(recording.columns)

@@ -14,23 +14,17 @@ import numpy as np
 
 from ..models.errors import InputError
 
-LEVEL = 0.95
-"""Probability with which a matched filter is within an interval or a band."""
+LEVEL = 0.95  # probability with which a matched filter is within an interval or a band
 
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean over samples with the two-sided χ² interval of a matched filter.
+    """A mean over samples with the two-sided χ² interval of a matched filter."""
 
-    Attributes:
-      value: mean per degree of freedom; 1 is expected.
-      low, high: of the interval. samples: number of independent samples.
-    """
-
-    value: float
-    low: float
-    high: float
-    samples: int
+    value: float  # mean per degree of freedom; 1 is expected
+    low: float  # of the interval
+    high: float  # of the interval
+    samples: int  # number of independent samples
 
     @property
     def verdict(self) -> str:
@@ -59,14 +53,9 @@ def chi_square_interval(dof: int, samples: int, level: float = LEVEL) -> tuple[f
 
 
 def mean_consistency(squares: np.ndarray, dof: int, samples: int | None = None, level: float = LEVEL) -> Mean:
-    """Return the mean of normalised squares per degree of freedom, with its interval.
-
-    Args:
-      squares: any shape.
-      dof: degrees of freedom of each.
-      samples: number of independent ones; all by default. Innovations of a matched filter are independent; its errors
-        are correlated in time, and independent between runs only.
-    """
+    """Return the mean of normalised squares, of any shape, per degree of freedom, with its interval. `samples`:
+    independent ones; all by default. Innovations of a matched filter are independent; its errors are correlated in
+    time, and independent between runs only."""
     samples = int(np.size(squares)) if samples is None else samples
     low, high = chi_square_interval(dof, samples, level)
     return Mean(float(np.mean(squares)) / dof, low, high, samples)
@@ -81,14 +70,8 @@ def share_inside(squares: np.ndarray, dof: int, level: float = LEVEL) -> float:
 
 
 def autocorrelation(innovations: np.ndarray, lags: int) -> np.ndarray:
-    """Return the normalised autocorrelation ρ(1 … lags) of normalised innovations, shape (lags,): Σ ν(k) ν(k + l) / Σ
-    ν².
-
-    Args:
-      innovations: Shape (T,), divided by their standard deviations. Their mean is not subtracted: a matched filter's
-        is zero, and an offset shows as correlation.
-      lags: number of lags.
-    """
+    """Return the normalised autocorrelation ρ(1 … lags) of normalised innovations, shape (T,): Σ ν(k) ν(k + l) / Σ ν².
+    Their mean is not subtracted: a matched filter's is zero, and an offset shows as correlation."""
     v = np.asarray(innovations, dtype=np.float64)
     if v.ndim != 1 or not 0 < lags < len(v):
         raise InputError(f"autocorrelation: expected shape (T,) with more than {lags} samples, got {v.shape}")

@@ -26,12 +26,10 @@ from .joint_model import EXTERNAL, LINK, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, S
 from .quantised import update
 from .sensing import RING, arm_torque, line_in_ring, motor_current, temperature
 
-_AHEAD = 6.0
-"""Delays of the link encoder over which the line of the external torque is fitted."""
+_AHEAD = 6.0  # delays of the link encoder over which the line of the external torque is fitted
 POINTS = 2 * SIZE + 1
 _DIFFERENCE = 1e-5  # rad
-_STILL = 0.1
-"""Time [s] at one count after which the position within it is unknown."""
+_STILL = 0.1  # time [s] at one count after which the position within it is unknown
 
 FILTER = np.dtype(
     [
@@ -50,8 +48,7 @@ mean NIS of both encoders; the motor encoder's last reading [rad] and for how lo
 prediction with its covariance and Jacobian, for a smoother; for a delayed link encoder the number of samples, of
 processed ones, a ring of them and of the external torque [N·m]; state and covariance now; innovations [rad] and
 their variances [rad²]; the rest is scratch."""
-SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])
-"""Noise, and κ, the spread of the sigma points."""
+SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])  # Noise, and κ, the spread of the sigma points
 OUT = np.dtype(
     [(name, np.float64) for name in (
         "torque", "variance", "innovation_motor_position", "innovation_link_position",
@@ -62,15 +59,8 @@ OUT = np.dtype(
 
 @kernel
 def filter_step(m, s, c, p, unscented):
-    """Update the filter with a sample.
-
-    Args:
-      m: record of `FILTER`. s: record of `models.step.SAMPLE`. c: record of `SETTINGS`. p: parameter record.
-      unscented: whether to predict by sigma points instead of a Jacobian.
-
-    Returns:
-      The joint torque [N·m] and its variance [(N·m)²]; `m.now` is the state.
-    """
+    """Update the filter, a record of `FILTER`, with a sample; return the joint torque [N·m] and its variance [(N·m)²].
+    `m.now` is the state; `unscented`: whether to predict by sigma points instead of a Jacobian."""
     if p.link_delay > 0.0:
         _late_step(m, s, c, p, unscented)
     else:

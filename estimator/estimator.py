@@ -34,26 +34,21 @@ from .trust import Watch
 from .tuning_parameters import TuningParameter
 
 Result = TypeVar("Result")
-_LASTS = 0.01
-"""Correlation time [s] of errors of the current that are not white noise, such as its ripple."""
-TORQUES = frozenset({"torque", "variance", "external_torque"})
-"""Outputs that are torques or their variance."""
+_LASTS = 0.01  # correlation time [s] of errors of the current that are not white noise, such as its ripple
+TORQUES = frozenset({"torque", "variance", "external_torque"})  # outputs that are torques or their variance
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Resolution (one count), noise (rms) and other errors (rms) of the sensors: [rad, motor side], [rad], [A].
-
-    Attributes:
-      motor_error, link_error, current_error: errors that are not white noise: cyclic errors of encoders; ripple,
-        flicker, vibration and ADC steps of the current.
-    """
+    """Resolution (one count), noise (rms) and other errors (rms) of the sensors: [rad, motor side], [rad], [A]."""
 
     motor_resolution: float = 2 * math.pi / 4096
     motor_noise: float = 0.0
     link_resolution: float = 2 * math.pi / 2**20
     link_noise: float = 1.5e-6
     current_noise: float = 0.01
+    # motor_error, link_error, current_error: errors that are not white noise: cyclic errors of encoders; ripple,
+    # flicker, vibration and ADC steps of the current
     motor_error: float = 0.0
     link_error: float = 0.0
     current_error: float = 0.0
@@ -71,13 +66,11 @@ class SensorNoise:
         )  # fmt: skip
 
     def current_variance(self, interval: float) -> float:
-        """Return the variance [A²] of white noise that moves a rotor as far as the current sensor's errors do.
+        """Return the variance [A²] of white noise that moves a rotor as far as the current sensor's errors do at an
+        interval between samples [s]; 0: the noise only.
 
         A correlated error has the effect of white noise of the same power density, whose variance is larger by its
         correlation time over the sample interval.
-
-        Args:
-          interval: between samples [s]; 0: the noise only.
         """
         longer = max(_LASTS / interval, 1.0) if interval > 0.0 else 0.0
         return self.current_noise**2 + longer * self.current_error**2
@@ -85,15 +78,10 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of the joint's numbers.
+    """Standard deviations of the joint's numbers."""
 
-    Attributes:
-      stiffness, wave_generator, wave_generator_curve, torque_constant, viscous, gravity, inertia: relative, of K1 to
-        K3 in common, Kw0, Cw, Kt, bw, Mg and Jl [1].
-      kinematic: shape (N_ORDERS,), of either quadrature of every order of kinematic error [rad].
-      current_offset: of the current sensor [A].
-    """
-
+    # stiffness, wave_generator, wave_generator_curve, torque_constant, viscous, gravity, inertia: relative, of K1 to K3
+    # in common, Kw0, Cw, Kt, bw, Mg and Jl [1]
     stiffness: float = 0.0
     wave_generator: float = 0.0
     wave_generator_curve: float = 0.0
@@ -101,8 +89,9 @@ class Spread:
     viscous: float = 0.0
     gravity: float = 0.0
     inertia: float = 0.0
+    # shape (N_ORDERS,), of either quadrature of every order of kinematic error [rad]
     kinematic: np.ndarray = field(default_factory=lambda: np.zeros(N_ORDERS))
-    current_offset: float = 0.0
+    current_offset: float = 0.0  # of the current sensor [A]
 
     @classmethod
     def of(cls, joint: Joint) -> Spread:
@@ -131,31 +120,20 @@ class Spread:
 
 @dataclass(frozen=True)
 class KnownJoint:
-    """What an estimator knows of a joint.
+    """What an estimator knows of a joint."""
 
-    Attributes:
-      record: shape (1,), numbers and known effects (`models.parameters`).
-      noise: of its sensors.
-      rated_torque: [N·m], the scale of torques.
-      friction: relative standard deviation of the friction model, by its diagnosis or else its tolerance.
-      link_zero: standard deviation of the link encoder's zero against the motor encoder's [rad].
-      link_wander: variation of that zero with the link's angle [rad]: the deviation of a known eccentricity.
-      back_driven: standard deviation of the share of load-dependent friction that acts while the load drives.
-      load_error: known error of the described load [N·m]; 0 if nothing contradicts it.
-      start: start of the recording [s], from which drifts count; None: the first sample.
-      spread: standard deviations of its other numbers.
-    """
-
-    record: np.ndarray
-    noise: SensorNoise = field(default_factory=SensorNoise)
-    rated_torque: float = 16.0
-    friction: float = 0.15
-    link_zero: float = 0.0
+    record: np.ndarray  # shape (1,), numbers and known effects (`models.parameters`)
+    noise: SensorNoise = field(default_factory=SensorNoise)  # of its sensors
+    rated_torque: float = 16.0  # [N·m], the scale of torques
+    friction: float = 0.15  # relative standard deviation of the friction model, by its diagnosis or else its tolerance
+    link_zero: float = 0.0  # standard deviation of the link encoder's zero against the motor encoder's [rad]
+    # variation of that zero with the link's angle [rad]: the deviation of a known eccentricity
     link_wander: float = 0.0
+    # standard deviation of the share of load-dependent friction that acts while the load drives
     back_driven: float = 0.0
-    load_error: float = 0.0
-    start: float | None = None
-    spread: Spread = field(default_factory=Spread)
+    load_error: float = 0.0  # known error of the described load [N·m]; 0 if nothing contradicts it
+    start: float | None = None  # start of the recording [s], from which drifts count; None: the first sample
+    spread: Spread = field(default_factory=Spread)  # standard deviations of its other numbers
 
     def __post_init__(self) -> None:
         if getattr(self.record, "dtype", None) != PARAMETERS or self.record.shape != (1,):
@@ -334,11 +312,8 @@ class Estimator(ABC):
         return self
 
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
-        """Return the estimator for the closed loop, whose samples are `interval` [s] apart.
-
-        Raises:
-          InputError: a smoother.
-        """
+        """Return the estimator for the closed loop, whose samples are `interval` [s] apart. Raises `InputError`: a
+        smoother."""
         raise InputError(f"estimator {self.name!r}: expected a causal estimator for the loop, got a smoother")
 
 
@@ -409,11 +384,8 @@ class CausalEstimator(Estimator):
     def advance(
         self, arrays: Arrays, samples: np.ndarray, out: np.ndarray, first: int, time: np.ndarray, before: np.ndarray
     ) -> None:
-        """Run the step over samples with the number `first` and at times [s]; `before`: the outputs before them.
-
-        Raises:
-          FilterDiverged: an estimate that is not finite.
-        """
+        """Run the step over samples with the number `first` and at times [s]; `before`: the outputs before them. Raises
+        `FilterDiverged`: an estimate that is not finite."""
         failed, status = go_on(arrays, samples, out)
         if failed < len(samples):
             reason = self.reason(status, out[failed - 1] if failed else before)
@@ -475,11 +447,8 @@ def interval_of(time: np.ndarray) -> float:
 
 def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False) -> np.ndarray:
     """Return signals as records of `SAMPLE`, shape (n,); NaN for missing channels. A current command, for estimators
-    with `reads_command`, counts from the next sample; before the first it is 0 A.
-
-    Raises:
-      InputError: a missing channel of `needs`.
-    """
+    with `reads_command`, counts from the next sample; before the first it is 0 A. Raises `InputError`: a missing
+    channel of `needs`."""
     for name in needs:
         signals[name]
     # Signals do not change, and every estimator reads the same records.
@@ -494,11 +463,7 @@ def sample_blocks(
     signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False, block: int | None = None
 ) -> Iterator[tuple[slice, np.ndarray]]:
     """Yield parts of signals with their records, as `as_samples` makes them: all at once, or block by block for long
-    ones.
-
-    Raises:
-      InputError: a missing channel of `needs`.
-    """
+    ones. Raises `InputError`: a missing channel of `needs`."""
     n, block = len(signals.time), BLOCK if block is None else block
     if n <= block:
         yield slice(0, n), as_samples(signals, needs, joint, reads_command)
@@ -544,14 +509,9 @@ def fill_samples(
 
 
 def go_on(arrays: Arrays, samples: np.ndarray, history: np.ndarray) -> tuple[int, int]:
-    """Run a step over further samples. `arrays` of `CompiledStep.arrays`; their memory is updated.
-
-    Args:
-      arrays: of the step. samples: records of `SAMPLE`, shape (n,). history: for its outputs, shape (n, outputs).
-
-    Returns:
-      The sample at which it failed and its status; (n, OK) if it did not.
-    """
+    """Run a step over further samples, records of `SAMPLE`, shape (n,), with `arrays` of `CompiledStep.arrays`, whose
+    memory is updated. Its outputs go to `history`, shape (n, outputs). Return the sample at which it failed and its
+    status; (n, OK) if it did not."""
     address, memory, record, settings, _ = arrays
     failed, status = _run(address, memory, samples, record, settings, history)
     return int(failed), int(status)

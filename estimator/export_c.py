@@ -63,14 +63,9 @@ _LOUD = ("#ifdef __GNUC__", "#pragma GCC diagnostic pop", "#endif")
 
 
 def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> str:
-    """Return an estimator's step for a joint as the text of a C99 header.
-
-    Args:
-      estimator: scaled to the joint and sampling. joint: with the numbers. interval: between samples [s].
-
-    Raises:
-      InputError: a step that is not compiled, or code without a C equivalent.
-    """
+    """Return an estimator's step for a joint's numbers as the text of a C99 header; the estimator is scaled to the
+    joint and to the `interval` [s] between samples. Raises `InputError`: a step that is not compiled, or code without a
+    C equivalent."""
     name = re.sub(r"\W", "_", estimator.name.lower())
     step = estimator.step(joint, interval)
     compiled = estimator.compiled

@@ -28,16 +28,9 @@ BANDWIDTH, CUTOFF = 20.0, 40.0
 def external_torque(
     signals: Signals, torque: np.ndarray, joint: KnownJoint, bandwidth: float = BANDWIDTH, cutoff: float = CUTOFF
 ) -> np.ndarray:
-    """Return the external torque on the link [N·m], shape (n,), by an estimate of the joint torque.
-
-    Args:
-      signals: with both positions; `arm_torque`, of other joints of an arm on the link [N·m], if there is any.
-      torque: Shape (n,), the estimate [N·m].
-      joint: inertia, weight, zero of the link encoder.
-      bandwidth: of the observer [Hz]. cutoff: of the link velocity's low-pass [Hz].
-
-    Raises:
-      InputError: a torque of another length than the signals.
+    """Return the external torque on the link [N·m], shape (n,), by an estimate of the joint torque [N·m]. The signals
+    have both positions, and `arm_torque`, of other joints of an arm on the link [N·m], if there is any. `bandwidth`: of
+    the observer [Hz]; `cutoff`: of the link velocity's low-pass [Hz]. Raises `InputError`: a torque of another length.
     """
     if np.shape(torque) != signals.time.shape:
         raise InputError(f"external torque: expected a torque of shape {signals.time.shape}, got {np.shape(torque)}")
@@ -51,12 +44,7 @@ def external_torque(
 
 
 def lowpassed(time: np.ndarray, values: np.ndarray, cutoff: float) -> np.ndarray:
-    """Return a signal, shape (n,), behind the Butterworth low-pass of `sensing.lowpass`: value, rate and
-    acceleration, shape (n, 3).
-
-    Args:
-      time: Shape (n,) [s]. cutoff: [Hz].
-    """
+    """Return a signal behind the Butterworth low-pass of `sensing.lowpass`: value, rate and acceleration, shape (n, 3)."""
     out, memory = np.zeros((len(time), 3)), np.zeros(1, LOWPASS)
     _lowpassed(time, np.ascontiguousarray(values, dtype=np.float64), 2 * math.pi * cutoff, memory, out)
     return out

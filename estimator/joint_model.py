@@ -68,37 +68,27 @@ the encoders [rad²] and their steps [rad]; `mesh_time` [s], `memory`, and both 
 
 @dataclass(frozen=True)
 class ProcessNoise:
-    """Deviation of a joint from its equations. One setting for all scenarios; scaled by the record, SI.
+    """Deviation of a joint from its equations. One setting for all scenarios; scaled by the record, SI."""
 
-    Attributes:
-      external: intensity of the random walk of τext [T2/√s]. 0.001·12 N·m is 0.08 N·m in 40 s, the 1 % uncertainty of
-        a link's weight.
-      push: intensity while the link encoder contradicts the prediction [T2/√s]. 4·12 N·m is the rated torque in 0.1
-        s.
-      mesh: standard deviation of d [Fc]; the error of a good friction model.
-      mesh_push: intensity of d while the motor encoder contradicts the prediction [Fc/√s]: another level in 1 s.
-      mesh_time: correlation time of d [s].
-      torque: white noise of torque at the mesh [Fc·√s]: ripple, discretisation.
-      bristle: noise of z [Fc/s0 per √s].
-      stiffness, motor_constant: standard deviation of κ, κt [1]; 0 excludes them.
-      memory: share of an encoder's mean NIS that is kept per sample; 0.8 is 5 samples.
-      threshold: mean NIS at which the noise starts to grow, and at which it is full. 1 is expected; at 5 samples it
-        scatters by 0.5.
-      floor: least noise of the motor encoder [counts].
-    """
-
+    # intensity of the random walk of τext [T2/√s]. 0.001·12 N·m is 0.08 N·m in 40 s, the 1 % uncertainty of a link's
+    # weight
     external: float = 0.001
+    # intensity while the link encoder contradicts the prediction [T2/√s]. 4·12 N·m is the rated torque in 0.1 s
     push: float = 4.0
-    mesh: float = 0.017
+    mesh: float = 0.017  # standard deviation of d [Fc]; the error of a good friction model
+    # intensity of d while the motor encoder contradicts the prediction [Fc/√s]: another level in 1 s
     mesh_push: float = 1.1
-    mesh_time: float = 5.0
-    torque: float = 5.5e-4
-    bristle: float = 5.5e-3
+    mesh_time: float = 5.0  # correlation time of d [s]
+    torque: float = 5.5e-4  # white noise of torque at the mesh [Fc·√s]: ripple, discretisation
+    bristle: float = 5.5e-3  # noise of z [Fc/s0 per √s]
+    # stiffness, motor_constant: standard deviation of κ, κt [1]; 0 excludes them
     stiffness: float = 0.0
     motor_constant: float = 0.0
-    memory: float = 0.8
+    memory: float = 0.8  # share of an encoder's mean NIS that is kept per sample; 0.8 is 5 samples
+    # mean NIS at which the noise starts to grow, and at which it is full. 1 is expected; at 5 samples it scatters by
+    # 0.5
     threshold: tuple[float, float] = (3.0, 6.0)
-    floor: float = 0.05
+    floor: float = 0.05  # least noise of the motor encoder [counts]
 
     def record(self, joint: KnownJoint, interval: float) -> np.ndarray:
         """Return the noise of a joint whose samples are `interval` [s] apart, shape (1,), a record of `NOISE`."""
@@ -240,15 +230,11 @@ def substeps(x, dt, p):
 
 @kernel
 def advance(x, current, command, time, dt, steps, temperature, p, work):
-    """Advance a state by `dt` [s], in place: the model's f. d stays; its decay comes afterwards.
+    """Advance a state, shape (SIZE,), by `dt` [s] in substeps, in place: the model's f. d stays; its decay comes
+    afterwards.
 
-    Args:
-      x: Shape (SIZE,).
-      current, command: motor current at the start, and the command in force [A].
-      time: at the start [s].
-      steps: substeps.
-      temperature: of the gear [°C].
-      work: Shape (3, SIZE), scratch, zero at first: the rate of BRISTLE is never written.
+    `current`, `command`: motor current at the start, and the command in force [A]; `temperature`: of the gear [°C];
+    `work`: scratch, shape (3, SIZE), zero at first, as the rate of BRISTLE is never written.
     """
     h = dt / steps
     decay = math.exp(-0.5 * h * p.R / p.L) if p.L > 0.0 else 0.0

@@ -54,13 +54,10 @@ from .payload_model import MEMORY, NOISE, friction_error, slow_friction
 
 WALKS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 """Candidate factors of the filters' W; the likelihood of the EKF's innovations decides."""
-SHORTEST = 10
-"""Fewest samples of a segment that is estimated."""
+SHORTEST = 10  # fewest samples of a segment that is estimated
 POSITIONS = ("motor_position", "link_position")
-_SLOW = 15.0
-"""Bandwidth [Hz] below which the causal estimate from current corrects its lag of 15 ms."""
-_LED = 0.6
-"""Its cutoff then, relative to the bandwidth: the same noise as without the correction."""
+_SLOW = 15.0  # bandwidth [Hz] below which the causal estimate from current corrects its lag of 15 ms
+_LED = 0.6  # its cutoff then, relative to the bandwidth: the same noise as without the correction
 _TRACK = 20  # grid steps per sample of the zero's tracking
 _REWEIGHTED = 2  # number of reweightings by the residual
 _OUTLIER = 2.5  # standard deviations beyond which a sample counts less
@@ -73,28 +70,18 @@ MOVING = 2.5  # Stribeck velocities of the motor above which it is in motion
 
 @dataclass(frozen=True)
 class Prepared:
-    """A prepared segment of a recording; n samples.
+    """A prepared segment of a recording; n samples."""
 
-    Attributes:
-      signals: both positions, the link's without zero and delay, and the current, as far as possible.
-      known: the known joint, with the findings of the segment.
-      measured: channels that were measured, or converted from one that was.
-      own_torque: shape (n,), joint torque for the link's inertia, gravity and known link torques [N·m].
-      walk: factor of the paper's filters' W, one of `WALKS`.
-      bandwidth: of the estimate from current [Hz].
-      note: findings: `start` [s], `bandwidth` [Hz], `zero` [rad] with `zero_std`, the payload's moments [N·m] and
-        inertia [kg·m²], the back-driven share of the load-dependent friction.
-      lasting: shape (n,), zero offset by the joint's constant errors [rad].
-    """
-
-    signals: Signals
-    known: KnownJoint
-    measured: frozenset[str]
-    own_torque: np.ndarray
-    walk: float
-    bandwidth: float
+    signals: Signals  # both positions, the link's without zero and delay, and the current, as far as possible
+    known: KnownJoint  # the known joint, with the findings of the segment
+    measured: frozenset[str]  # channels that were measured, or converted from one that was
+    own_torque: np.ndarray  # shape (n,), joint torque for the link's inertia, gravity and known link torques [N·m]
+    walk: float  # factor of the paper's filters' W, one of `WALKS`
+    bandwidth: float  # of the estimate from current [Hz]
+    # findings: `start` [s], `bandwidth` [Hz], `zero` [rad] with `zero_std`, the payload's moments [N·m] and inertia
+    # [kg·m²], the back-driven share of the load-dependent friction
     note: dict[str, float]
-    lasting: np.ndarray
+    lasting: np.ndarray  # shape (n,), zero offset by the joint's constant errors [rad]
 
     def read_by(self, estimator: Estimator) -> Signals:
         """Return the signals for an estimator: without the effect of constant errors on torsion, unless it estimates
@@ -124,29 +111,23 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Estimates:
-    """Estimates over one recording; n samples.
+    """Estimates over one recording; n samples."""
 
-    Attributes:
-      name: of the recording.
-      time: as in its table, shape (n,) [s].
-      torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments
-        of fewer than `SHORTEST` samples.
-      external_torque: external torque on the link by estimator, without that of an arm's motion, likewise.
-      left_out: reason by estimator without an estimate: a missing channel, a divergence.
-      notes: findings, one entry a segment (`Prepared.note`).
-      deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty without
-        bands.
-      untrusted: why an estimate is not to be trusted, by estimator (`trust`).
-    """
-
-    name: str
-    time: np.ndarray
+    name: str  # of the recording
+    time: np.ndarray  # as in its table, shape (n,) [s]
+    # joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments of fewer
+    # than `SHORTEST` samples
     torque: Mapping[str, np.ndarray]
+    # external torque on the link by estimator, without that of an arm's motion, likewise
     external_torque: Mapping[str, np.ndarray]
+    # reason by estimator without an estimate: a missing channel, a divergence
     left_out: dict[str, str] = field(default_factory=dict)
-    notes: list[dict[str, float]] = field(default_factory=list)
+    notes: list[dict[str, float]] = field(default_factory=list)  # findings, one entry a segment (`Prepared.note`)
+    # deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty without
+    # bands
     deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
     external_deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
+    # why an estimate is not to be trusted, by estimator (`trust`)
     untrusted: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -282,10 +263,7 @@ def too_short(recording: Recording) -> bool:
 def lacking(recording: Recording, names: Sequence[str]) -> dict[str, str]:
     """Return why `estimate_recording` would leave out estimators for a missing channel, by name, without running it.
 
-    Empty if nothing is estimated (`too_short`).
-
-    Raises:
-      InputError: an unknown name.
+    Empty if nothing is estimated (`too_short`). Raises `InputError`: an unknown name.
     """
     if too_short(recording):
         return {}
@@ -323,8 +301,7 @@ def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
 
 
 _THREADS = min(os.cpu_count() or 1, 8)
-_LONG = 1 << 20
-"""Number of samples from which memory matters: smoothers run alone, others two at a time."""
+_LONG = 1 << 20  # number of samples from which memory matters: smoothers run alone, others two at a time
 
 
 class _Estimate(NamedTuple):
@@ -377,15 +354,8 @@ def write_estimates(estimates: Estimates, folder: Path) -> Path:
 
 
 def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
-    """Prepare a segment for estimators.
-
-    Args:
-      signals: at least one position; no `joint_torque`.
-      joint: what is known of it.
-
-    Raises:
-      InputError: no position.
-    """
+    """Prepare a segment for estimators by what is known of the joint; without `joint_torque`. Raises `InputError`: no
+    position."""
     given = set(signals)
     if not given & set(POSITIONS):
         raise InputError(f"recording: expected one of the columns {', '.join(POSITIONS)}, got {sorted(given)}")
@@ -433,13 +403,11 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
 
 
 def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: np.ndarray) -> float:
-    """Return the error of the described load [N·m]; 0 if nothing contradicts it.
+    """Return the error of the described load [N·m]; 0 if nothing contradicts it. `torque`: of the current, `own`: of
+    the link's balance, shape (n,) [N·m], at the points of the motion.
 
     The current's torque and the link's balance differ within their tolerances, or while the joint is touched. A
     difference larger than the tolerances in most of the motion, and larger than all friction, is another load.
-
-    Args:
-      motion: n points; torque: of `smoothed.torque_from_current` there; own: of the link's balance, shape (n,) [N·m].
     """
     p, known = joint.p, joint.spread
     w = motion.motor_velocity
@@ -530,11 +498,8 @@ def encoder_zero(
     """Return the error of the link encoder's zero [rad], shape (n,), its mean standard deviation, its variation
     [rad/√rad], and the zero for an estimator that ignores the joint's constant errors, shape (n,).
 
-    Args:
-      signals: both encoders and the current, n samples.
-      motion: of `smoothed.smooth_motion` at the bandwidth of the estimate from current, every `_TRACK`-th point of
-        its grid.
-      torque: of `smoothed.torque_from_current` there [N·m].
+    The signals are both encoders and the current; the motion, and the torque of the current there [N·m], at every
+    `_TRACK`-th point of the grid.
     """
     p, spread, wander = joint.p, joint.link_zero, joint.link_wander
     if spread == 0 and wander == 0:
@@ -682,9 +647,8 @@ def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, z
     """Kalman filter and Rauch-Tung-Striebel smoother of two states. Write the zero and its variance into `zero`,
     `variance`, the filter's innovations and their variance into `innovation`, `total`.
 
-    Args:
-      slope: of `seen` over the friction model's error, shape (n,); noise, walk: variances of `seen` and of the zero's
-        steps, likewise.
+    `slope`: of `seen` over the friction model's error; `noise`, `walk`: variances of `seen` and of the zero's steps;
+    shape (n,).
     """
     n = len(seen)
     # Filtered and predicted: both states, and variance of the first, covariance, variance of the second.

@@ -7,23 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..models.errors import InputError
-from .estimator import (
-    CausalEstimator,
-    KnownJoint,
-    Posterior,
-    blank_samples,
-    fill_samples,
-    interval_of,
-)
+from .estimator import CausalEstimator, KnownJoint, Posterior, blank_samples, fill_samples, interval_of
 
 
 class OnlineSamples:
-    """The estimators' records of signals in progress: `models.step.SAMPLE`, shape (n,), with and without the command.
-
-    Args of the constructor:
-      time: of all samples [s], shape (n,). columns: channels, shape (n,) each, filled by the caller. joint: the known
-        joint.
-    """
+    """The estimators' records of signals in progress, `models.step.SAMPLE`, shape (n,), with and without the command.
+    The caller fills the channels `columns`, shape (n,) each, at all times [s]."""
 
     def __init__(self, time: np.ndarray, columns: Mapping[str, np.ndarray], joint: KnownJoint):
         self.time, self.columns, self.joint = time, columns, joint
@@ -40,18 +29,10 @@ class OnlineSamples:
 
 
 class OnlineEstimate:
-    """An estimator that follows signals in progress.
-
-    Attributes:
-      estimator: the estimator.
-    """
+    """An estimator that follows signals in progress."""
 
     def __init__(self, estimator: CausalEstimator, samples: OnlineSamples):
-        """Start before the first sample.
-
-        Raises:
-          InputError: a missing channel.
-        """
+        """Start before the first sample. Raises `InputError`: a missing channel."""
         for name in estimator.needs:
             if name not in samples.columns:
                 raise InputError(
@@ -63,11 +44,8 @@ class OnlineEstimate:
         self._history = np.zeros((len(samples.time), len(estimator.outputs)))
 
     def advance(self, part: slice) -> Posterior:
-        """Return the posterior of the next part, whose samples have been filled.
-
-        Raises:
-          FilterDiverged: an estimate that is not finite.
-        """
+        """Return the posterior of the next part, whose samples have been filled. Raises `FilterDiverged`: an estimate
+        that is not finite."""
         records, history = self._samples.of(self.estimator)[part], self._history
         before = history[max(part.start - 1, 0)]
         self.estimator.advance(self._arrays, records, history[part], part.start, self._samples.time[part], before)

@@ -19,8 +19,7 @@ from ..models.signals import POSITIONS
 KNOWN = 8.0
 """Largest noise of the acceleration as a torque, over the noise of the torque, if it is the described sensor noise:
 fits of two encoders then account for it."""
-QUIET = 1.0
-"""The same, at which it does no harm with two encoders."""
+QUIET = 1.0  # the same, at which it does no harm with two encoders
 _BEYOND = 2.0  # largest noise over the described noise
 _DESCRIBED_WRONG = 3.0  # largest factor by which a described inertia may be too small
 _AS_GOOD = 1.005  # of the least residual of a regression
@@ -40,17 +39,9 @@ def highest(
     limit: float,
     p: np.void,
 ) -> tuple[float, str]:
-    """Return the highest passband for all encoders of a recording.
-
-    Args:
-      recording: n samples; parts: without gaps.
-      noise: of one sample, by channel, in its unit; floors: of each encoder as described [rad].
-      limit: by the rates [Hz].
-      p: parameters of the joint.
-
-    Returns:
-      Passband [Hz], and the encoder whose noise limits it; empty if none does.
-    """
+    """Return the highest passband [Hz] for all encoders of a recording, and the encoder whose noise limits it, if one
+    does. `parts`: without gaps; `noise`: of one sample, by channel, in its unit; `floors`: of each encoder as described
+    [rad]; `limit`: by the rates [Hz]."""
     limit = min(CUTOFF, limit)
     found, loudest = limit, ""
     tried = candidates(limit)
@@ -97,12 +88,8 @@ def _regressed(
     recording: Recording, name: str, y: str, parts: Sequence[slice], tried: np.ndarray, own: float, N: float
 ) -> float:
     """Return the highest passband [Hz] at which a regression of a channel on an encoder's motion predicts held-out
-    blocks about as well as at any.
-
-    Args:
-      own: the highest that the noise allows. A higher one is chosen only if it clearly predicts better: then it is
-        motion.
-    """
+    blocks about as well as at any. `own`: the highest that the noise allows; a higher one is chosen only if it clearly
+    predicts better: then it is motion."""
     longest = max(part.stop - part.start for part in parts)
     size = min(longest, _REGRESSED)
     begins = windows(recording[name], parts, size, max(_REGRESSED // size, 1), size)

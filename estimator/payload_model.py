@@ -24,16 +24,11 @@ from ..models.kernels import kernel
 from .estimator import KnownJoint
 
 SIZE = 5
-MEMORY = 0.5
-"""Correlation time of the friction model's error [s]."""
-PAYLOAD = 0.7
-"""Prior standard deviation of a payload's moments, in rated torques; its inertia's as for a mass at 1 m."""
-NOISE = 0.003
-"""Least noise of an estimate of torque, as a share of the rated torque."""
-FRICTION_ERROR = 0.05
-"""Least error of a friction model, as a share of the friction."""
-INTERVAL = 4e-3
-"""Time between samples [s] for which the noise of the current counts as independent."""
+MEMORY = 0.5  # correlation time of the friction model's error [s]
+PAYLOAD = 0.7  # prior standard deviation of a payload's moments, in rated torques; its inertia's as for a mass at 1 m
+NOISE = 0.003  # least noise of an estimate of torque, as a share of the rated torque
+FRICTION_ERROR = 0.05  # least error of a friction model, as a share of the friction
+INTERVAL = 4e-3  # time between samples [s] for which the noise of the current counts as independent
 _AT_REST = 4.0  # noise of friction at rest, in units of its level
 _SLOW = 4.0  # its range of speed, in Stribeck velocities
 
@@ -92,13 +87,8 @@ def external_torque(x, link_position, link_acceleration):
 
 @kernel
 def update(x, P, seen, at, noise, p):
-    """Update state x, shape (SIZE,), and covariance P with the inputs of an instant, in place.
-
-    Args:
-      seen: `Seen`; the bristle of its state is not used.
-      at: Shape (SIZE − 1,), [α, β, J, κ] about which the measurement is linearised.
-      noise: of the measurement [N·m].
-    """
+    """Update state x, shape (SIZE,), and covariance P with the inputs of an instant, `Seen`, in place; the bristle of
+    its state is not used. The measurement, with a noise [N·m], is linearised about `at`, [α, β, J, κ]."""
     link, a = seen.state.link_position, seen.link_acceleration
     w, v = seen.state.motor_velocity, seen.state.link_velocity
     T = seen.own_torque - external_torque(at, link, a) + p.bl * v

@@ -47,19 +47,11 @@ def cell_moments(residual, S, q):
 
 @kernel
 def update(x, P, active, H, residual, variance, q, PH):
-    """Condition x, P on one scalar reading, in place.
+    """Condition states x and the covariance P of those that are `active`, shape (N,), on one scalar reading, in place;
+    the others are unchanged. Return S = H P Hᵀ + variance.
 
-    Args:
-      x: Shape (≥ N,), states.
-      P: Shape (N, N), covariance of the states `active`, shape (N,), indices; the others are unchanged.
-      H: Shape (N,), derivative of the reading by them.
-      residual: reading less its prediction.
-      variance: of the noise before rounding.
-      q: step of the rounding; 0 for none.
-      PH: Shape (N,), scratch.
-
-    Returns:
-      S = H P Hᵀ + variance.
+    `H`: derivative of the reading by them, shape (N,); `residual`: reading less its prediction; `variance`: of the
+    noise before rounding to steps q, 0 for none; `PH`: scratch, shape (N,).
     """
     n = P.shape[0]
     S = variance

@@ -56,16 +56,9 @@ def start(f, y, c):
 
 @kernel
 def update(f, y, c):
-    """Update the torque filter with one step, F = H = 1.
-
-    Args:
-      f: record of `STATE`, updated; unchanged if the step fails.
-      y: torque of the compliance model [N·m].
-      c: record of `SETTINGS`.
-
-    Returns:
-      OK, or why there is no next estimate: NOT_FINITE, GAMMA_TOO_SMALL, NOT_POSITIVE (P_Y), FACTOR_OVERFLOW (f_α).
-    """
+    """Update the torque filter, a record of `STATE`, with one step, F = H = 1, by the torque y of the compliance model
+    [N·m]; unchanged if the step fails. Return OK, or why there is no next estimate: NOT_FINITE, GAMMA_TOO_SMALL,
+    NOT_POSITIVE (P_Y), FACTOR_OVERFLOW (f_α)."""
     P = f.variance + c.W  # (11)
     unadjusted = P + c.V  # (14), of the unadjusted prediction
     innovation = y - f.torque  # (10), (13)
@@ -114,18 +107,12 @@ def redundancy_factor(load, c):
 
 @kernel
 def compensation_factor(memory, total, noise, alpha, c):
-    """Return f_α of Eq. (25) if Eq. (19) switches to robust mode, else exactly 1.
+    """Return f_α of Eq. (25) if Eq. (19) switches to robust mode, else exactly 1, by tr P̄_Y of Eq. (20) in `memory`,
+    tr P_Y of the unadjusted prediction, tr V and the redundancy factor α.
 
-    Args:
-      memory: tr P̄_Y, Eq. (20).
-      total: tr P_Y = tr(H·P·Hᵀ + V), of the unadjusted prediction.
-      noise: tr V.
-      alpha: redundancy factor.
-      c: record of `SETTINGS`.
-
-    With the unadjusted P_Y: `f_α = P̄_Y / (α·P_Y)`. The adjusted one, P_Y = f_α·HPHᵀ + V, depends on f_α, which is
-    then the positive root of `α·(f·HPHᵀ + V)·f = P̄_Y`. Both exceed 1 under the same condition. The result is
-    infinite at α = 0.
+    With the unadjusted P_Y: `f_α = P̄_Y / (α·P_Y)`. The adjusted one, P_Y = f_α·HPHᵀ + V, depends on f_α, which is then
+    the positive root of `α·(f·HPHᵀ + V)·f = P̄_Y`. Both exceed 1 under the same condition. The result is infinite at α
+    = 0.
     """
     threshold = alpha * total
     if c.rule == EKF or not memory > threshold:

@@ -17,8 +17,7 @@ from ..models.plugins import Offer, Origin
 from . import filters
 from .estimator import Estimator
 
-OWN = "; one of a file of yours is known by --plugin FILE.py"
-"""Hint for an unknown name."""
+OWN = "; one of a file of yours is known by --plugin FILE.py"  # hint for an unknown name
 
 
 def names() -> tuple[str, ...]:
@@ -27,11 +26,8 @@ def names() -> tuple[str, ...]:
 
 
 def get(name: str) -> Estimator:
-    """Return the estimator of that name with its default tuning parameters; `dataclasses.replace` changes them.
-
-    Raises:
-      InputError: an unknown name; a plugin's estimator that cannot be loaded or is not an estimator.
-    """
+    """Return the estimator of that name with its default tuning parameters; `dataclasses.replace` changes them. Raises
+    `InputError`: an unknown name; a plugin's estimator that cannot be loaded or is not an estimator."""
     if name in _own():
         return _own()[name]
     others = _others()
@@ -41,11 +37,8 @@ def get(name: str) -> Estimator:
 
 
 def check(offered: Iterable[str]) -> None:
-    """Check the estimators, causes and sensors of a plugin.
-
-    Raises:
-      InputError: one that does not follow its interface.
-    """
+    """Check the estimators, causes and sensors of a plugin. Raises `InputError`: one that does not follow its
+    interface."""
     for name in offered:
         if name in _others():
             get(name)

@@ -11,10 +11,8 @@ from ..models.joint import Joint
 from ..models.recording import Recording
 from .offline import MOVING, Estimates
 
-_USELESS = 0.5
-"""Error as a share of a torque's own RMS from which an estimate is none."""
-_LEAST = 0.1
-"""Share of the rated torque: of a smaller joint torque, half is no large error of an external torque."""
+_USELESS = 0.5  # error as a share of a torque's own RMS from which an estimate is none
+_LEAST = 0.1  # share of the rated torque: of a smaller joint torque, half is no large error of an external torque
 
 
 @dataclass(frozen=True)
@@ -42,8 +40,7 @@ class Score:
         )
 
 
-Scores = Mapping[str, Mapping[str, Score]]
-"""By measured quantity and estimator."""
+Scores = Mapping[str, Mapping[str, Score]]  # by measured quantity and estimator
 
 
 def _rms(values: np.ndarray) -> float:
@@ -51,13 +48,9 @@ def _rms(values: np.ndarray) -> float:
 
 
 def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str, dict[str, Score]]:
-    """Score estimates against measured quantities.
-
-    Returns:
-      `joint_torque` (with a sensor) and `external_torque` (if measured, or known to be zero): estimator → score.
-        Friction at rest is unknown up to its level, hence the score in motion (motor faster than 2.5 Stribeck
-        velocities).
-    """
+    """Score estimates, by estimator, against `joint_torque` (with a sensor) and `external_torque` (if measured, or
+    known to be zero). Friction at rest is unknown up to its level, hence the score in motion (motor faster than 2.5
+    Stribeck velocities)."""
     N = joint.numbers["N"].value
     motor = recording["motor_position"] if "motor_position" in recording else N * recording["link_position"]
     moving = np.abs(np.gradient(motor, recording.time)) > MOVING * joint.numbers["vs"].value
@@ -77,12 +70,9 @@ def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str,
 def no_estimates(
     recording: Recording, estimates: Estimates, joint: Joint, scores: Scores
 ) -> dict[str, tuple[str, dict[str, float]]]:
-    """Return estimators whose error is more than half of a torque's own RMS: that of the measured one, or, where no external
-    torque is, of the joint torque or 10 % of the rated torque.
-
-    Returns:
-      quantity → that RMS in a sentence, and RMS error by estimator [N·m].
-    """
+    """Return by quantity a sentence with a torque's own RMS, and the RMS errors [N·m] of estimators for which they are
+    more than half of it: that of the measured one, or, where no external torque is, of the joint torque or 10 % of the
+    rated torque."""
     found = {}
     for what, by_name in scores.items():
         if what == "joint_torque" or recording.external == "measured":

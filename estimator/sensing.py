@@ -51,18 +51,13 @@ def arm_torque(s):
     return 0.0 if math.isnan(s.arm_torque) else s.arm_torque
 
 
-VELOCITY = 2.0 * math.pi * 40.0
-"""Bandwidth [rad/s] of the rotor's velocity on which a model discrepancy may depend."""
+VELOCITY = 2.0 * math.pi * 40.0  # bandwidth [rad/s] of the rotor's velocity on which a model discrepancy may depend
 
 
 @kernel
 def read_joint_torque(torque, motor_position, link_position, time, record, rotor, out):
-    """Write the joint torque sensor's readings [N·m] before noise, shape (n,), into `out`.
-
-    Args:
-      motor_position, link_position: readings [rad]. time: since the recording began [s].
-      record: parameters; rotor: low-pass for its velocity, `LOWPASS`. Shape (1,) each.
-    """
+    """Write the joint torque sensor's readings [N·m] before noise, shape (n,), into `out`, by positions as read [rad]
+    and the time since the recording began [s]; `rotor`: low-pass for its velocity, `LOWPASS`, shape (1,)."""
     p, m = record[0], rotor[0]
     for i in range(len(torque)):
         motor = dynamics.actual_motor_position(motor_position[i], p)
@@ -73,19 +68,14 @@ def read_joint_torque(torque, motor_position, link_position, time, record, rotor
         out[i] = dynamics.read_joint_torque(torque[i], state, torque[i], p)
 
 
-RING = 512
-"""Longest delay of the link encoder, in samples. Beyond it the oldest sample is used."""
+RING = 512  # longest delay of the link encoder, in samples. Beyond it the oldest sample is used.
 _FEWEST = 5
 
 
 @kernel
 def place_in_ring(times, newest, then):
-    """Return the position of an instant in a ring of times, shape (RING,): sample before it, sample after it, and
-    share of the way between.
-
-    Args:
-      newest: number of the last sample, from 0; its index is that number modulo RING.
-    """
+    """Return the position of an instant in a ring of times, shape (RING,): sample before it, sample after it, and share
+    of the way between; `newest`: number of the last sample, from 0; its index is that number modulo RING."""
     k, oldest = newest, max(newest - RING + 1, 0)
     while k > oldest and times[k % RING] > then:
         k -= 1
@@ -97,12 +87,7 @@ def place_in_ring(times, newest, then):
 @kernel
 def line_in_ring(times, values, newest, window, at):
     """Return the line through the last samples of a ring (least squares) at an instant `at` [s]; the last value while
-    there are few.
-
-    Args:
-      times, values: Shape (RING,). newest: as `place_in_ring`.
-      window: of the fit [s], back from the newest; five samples at least.
-    """
+    there are few. `newest`: as of `place_in_ring`; `window`: of the fit [s], five samples at least."""
     oldest, last = max(newest - RING + 1, 0), times[newest % RING]
     count, mean_t, mean_x, k = 0, 0.0, 0.0, newest
     while k >= oldest and (last - times[k % RING] <= window or count < _FEWEST):

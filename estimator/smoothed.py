@@ -18,38 +18,27 @@ from ..models.motion import BLOCK, smooth
 from ..models.signals import Signals
 from .estimator import KnownJoint
 
-STEP = 1e-3
-"""Grid [s] on which motion is differentiated and friction replayed."""
-BANDWIDTHS = (80.0, 40.0, 20.0, 10.0, 5.0)
-"""Bandwidths [Hz] of the estimate from current, best first; see `bandwidth`."""
-QUIET = 0.005
-"""Allowed noise of the estimate from current, as a share of the rated torque; it decides the bandwidth."""
+STEP = 1e-3  # grid [s] on which motion is differentiated and friction replayed
+BANDWIDTHS = (80.0, 40.0, 20.0, 10.0, 5.0)  # bandwidths [Hz] of the estimate from current, best first; see `bandwidth`
+QUIET = 0.005  # allowed noise of the estimate from current, as a share of the rated torque; it decides the bandwidth
 _ROBUST = 1.4826
 _LOAD_STEPS = 5  # friction depends weakly on the torque
 
 
 class Motion(NamedTuple):
-    """Smooth motion and current on an even grid; n samples, corrected for known sensor errors.
+    """Smooth motion and current on an even grid; n samples, corrected for known sensor errors."""
 
-    Attributes:
-      time: shape (n,) [s]; since: since the recording's start [s].
-      motor_position, motor_velocity, motor_acceleration: shape (n,), rotor, motor side.
-      link_position, link_velocity, link_acceleration: shape (n,), output side.
-      current: shape (n,), as read [A]. temperature: shape (n,) [°C].
-      cutoff: passband of the smoother [Hz].
-    """
-
-    time: np.ndarray
-    since: np.ndarray
-    motor_position: np.ndarray
-    motor_velocity: np.ndarray
-    motor_acceleration: np.ndarray
-    link_position: np.ndarray
-    link_velocity: np.ndarray
-    link_acceleration: np.ndarray
-    current: np.ndarray
-    temperature: np.ndarray
-    cutoff: float
+    time: np.ndarray  # shape (n,) [s]
+    since: np.ndarray  # since the recording's start [s]
+    motor_position: np.ndarray  # shape (n,), rotor, motor side
+    motor_velocity: np.ndarray  # shape (n,), rotor, motor side
+    motor_acceleration: np.ndarray  # shape (n,), rotor, motor side
+    link_position: np.ndarray  # shape (n,), output side
+    link_velocity: np.ndarray  # shape (n,), output side
+    link_acceleration: np.ndarray  # shape (n,), output side
+    current: np.ndarray  # shape (n,), as read [A]
+    temperature: np.ndarray  # shape (n,) [°C]
+    cutoff: float  # passband of the smoother [Hz]
 
     def every(self, steps: int) -> Motion:
         """Return every so many-th point of the grid."""
@@ -61,15 +50,8 @@ class Motion(NamedTuple):
 
 
 def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int = 1) -> Motion:
-    """Return the motion of a part of a recording.
-
-    Args:
-      signals: `motor_position`, and `link_position`, `motor_current`, `temperature` if known. Without a link encoder
-        the link moves with the rotor.
-      joint: what is known of it.
-      cutoff: passband [Hz].
-      every: evaluate every so many-th point of the grid, from the first.
-    """
+    """Return the motion of a part of a recording below a `cutoff` [Hz], at `every` so many-th point of the grid.
+    Without a link encoder the link moves with the rotor; current and temperature are used if known."""
     time, p = signals.time, joint.p
     s = smooth(time, _rotor_link_current(signals, joint), STEP, cutoff, every, moving=2)
     position, velocity, acceleration = (np.ascontiguousarray(a.T) for a in (s.value, s.rate, s.acceleration))
@@ -200,11 +182,8 @@ def _torque_from_current(m, record, out):
 
 
 def own_torque(motion: Motion, joint: KnownJoint, load: np.ndarray | None = None) -> np.ndarray:
-    """Return the joint torque [N·m] on the grid that the link's inertia, gravity and known link torques need.
-
-    Args:
-      load: flexspline torque [N·m], shape (n,), on which a model discrepancy may depend; 0 by default.
-    """
+    """Return the joint torque [N·m] on the grid that the link's inertia, gravity and known link torques need; `load`:
+    flexspline torque [N·m], shape (n,), on which a model discrepancy may depend; 0 by default."""
     load = np.zeros(len(motion.time)) if load is None else load
     return _own_torque(motion, load, joint.record, large(len(load)))
 

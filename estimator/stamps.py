@@ -12,14 +12,10 @@ from typing import Literal
 
 import numpy as np
 
-_BLOCK = 1 << 16
-"""Samples processed together, to limit memory."""
-_LOOKED_AT, _STRETCH = 1 << 18, 1 << 14
-"""Samples of a long log that are used, and the length of a stretch."""
-FEWEST = 50
-"""Fewest samples in motion for a result."""
-LEAST = 2e-3
-"""Least time error, in intervals, that counts."""
+_BLOCK = 1 << 16  # samples processed together, to limit memory
+_LOOKED_AT, _STRETCH = 1 << 18, 1 << 14  # samples of a long log that are used, and the length of a stretch
+FEWEST = 50  # fewest samples in motion for a result
+LEAST = 2e-3  # least time error, in intervals, that counts
 _COUNTS = 3.0  # largest mean square of a pattern of counts, over their mean square
 _PASSED = 100.0  # squared motion between samples over an encoder's squared noise
 _STILL = 1e-4  # squared speed at rest, over its largest
@@ -38,19 +34,13 @@ Kind = Literal["exact", "row numbers", "coarse clock", "arrival"]
 
 @dataclass(frozen=True)
 class Clock:
-    """The kind of a log's time stamps.
+    """The kind of a log's time stamps."""
 
-    Attributes:
-      kind: `exact`; `row numbers`: even, while the samples are not; of a `coarse clock`; or `arrival`, later than the
-        samples.
-      error: remaining error of the times [s rms]; found: of the stamps.
-      tick: of a coarse clock [s].
-    """
-
+    # `exact`; `row numbers`: even, while the samples are not; of a `coarse clock`; or `arrival`, later than the samples
     kind: Kind
-    error: float
-    found: float = 0.0
-    tick: float = 0.0
+    error: float  # remaining error of the times [s rms]
+    found: float = 0.0  # error of the stamps [s rms]
+    tick: float = 0.0  # of a coarse clock [s]
 
     @property
     def text(self) -> str:
@@ -80,13 +70,8 @@ def stretches(parts: Sequence[slice]) -> list[slice]:
 def read_stamps(
     time: np.ndarray, encoders: Sequence[np.ndarray], parts: Sequence[slice], floors: Sequence[float]
 ) -> Clock:
-    """Return the kind of the stamps by the encoders.
-
-    Args:
-      time: shape (n,) [s]; encoders: one or two readings, shape (n,) each [rad], the motor's first; parts: without
-        gaps.
-      floors: noise of each in motion with an exact clock [rad].
-    """
+    """Return the kind of the stamps, shape (n,) [s], by one or two encoders' readings, the motor's first, shape (n,)
+    each [rad]. `parts`: without gaps; `floors`: noise of each in motion with an exact clock [rad]."""
     parts = stretches(parts)
     if not parts:
         return Clock("exact", 0.0)
@@ -114,15 +99,11 @@ def _tick(steps: np.ndarray, interval: float) -> float:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of readings that no encoder gives
 def timing_error(time: np.ndarray, encoders: Sequence[np.ndarray], floors: Sequence[float]) -> float:
-    """Return the standard deviation [s] of the time error of a part without gaps; zero if the encoders do not show
-    any.
+    """Return the standard deviation [s] of the time error of a part without gaps; zero if the encoders do not show any.
+    The arguments are as of `read_stamps`.
 
     Squared deviations from the smooth motion are sorted by speed. The part that grows with the squared speed is the
     time's. With two encoders it is the product of both, which noise of either does not contain.
-
-    Args:
-      time: shape (n,) [s]; encoders: one or two readings, shape (n,) each [rad].
-      floors: noise of each in motion with an exact clock [rad].
     """
     if len(time) < FEWEST:
         return 0.0
@@ -199,13 +180,11 @@ def _off_within(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def clock_times(time: np.ndarray, encoders: Sequence[np.ndarray]) -> np.ndarray | None:
-    """Return the sample times [s] by the controller's clock, shape (n,), if the stamps are not; None if they are.
+    """Return the sample times of one part [s] by the controller's clock, shape (n,), if the stamps are not; None if
+    they are.
 
     Controllers sample evenly and stamp late. Times at whole periods are used if they make the motion of every encoder
-    smoother.
-
-    Args:
-      time: stamps of one part, shape (n,) [s]; encoders: readings, shape (n,) each [rad].
+    [rad] smoother.
     """
     rough = _roughness(time, encoders)
     best: np.ndarray | None = None

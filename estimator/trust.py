@@ -13,14 +13,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-GEAR = 5.0
-"""Torque [rated torques] that no strain wave gear transmits."""
-NIS = 25.0
-"""Mean NIS over a second that a working estimator does not reach."""
+GEAR = 5.0  # torque [rated torques] that no strain wave gear transmits
+NIS = 25.0  # mean NIS over a second that a working estimator does not reach
 UNSURE = 0.1
 """An estimator's own standard deviation [rated torques] of an estimate that says nothing; working ones have less than 0.01."""
-SETTLING = 1.0
-"""Time [s] after the start that is not checked."""
+SETTLING = 1.0  # time [s] after the start that is not checked
 
 
 class Watch:

@@ -10,18 +10,12 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class TuningParameter:
-    """A tuning parameter.
+    """A tuning parameter."""
 
-    Attributes:
-      field: its name; dotted inside a dataclass (`process.push`).
-      low, high: bounds, in the field's unit.
-      scale: of the search; `log` needs low > 0.
-    """
-
-    field: str
-    low: float
-    high: float
-    scale: Literal["log", "linear"] = "log"
+    field: str  # its name; dotted inside a dataclass (`process.push`)
+    low: float  # lower bound, in the field's unit
+    high: float  # upper bound
+    scale: Literal["log", "linear"] = "log"  # of the search; `log` needs low > 0
 
     def to_unit(self, value: float) -> float:
         """Return the value's place between the bounds, 0 to 1."""

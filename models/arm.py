@@ -5,7 +5,7 @@ The numbers come from the arm's MJCF by inverse dynamics: `models.arm_dynamics`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Self
 
@@ -35,6 +35,18 @@ class Carried(Strict):
     def carried(self, time: np.ndarray) -> np.ndarray:
         """Return whether it is carried at times [s], shape (n,)."""
         return (time >= self.start) & (time < (np.inf if self.end is None else self.end))
+
+
+def carried_at(payloads: Sequence[Carried], time: np.ndarray) -> np.ndarray:
+    """Return whether each payload is carried at times [s], shape (payloads, n)."""
+    return np.array([one.carried(time) for one in payloads], dtype=bool).reshape(len(payloads), len(time))
+
+
+def pickups(payloads: Sequence[Carried], time: np.ndarray) -> Iterator[tuple[int, list[bool]]]:
+    """Yield the samples at which payloads are picked up or put down, and whether each is carried from then on."""
+    carried = carried_at(payloads, time)
+    for k in np.flatnonzero(np.any(np.diff(carried, axis=1, prepend=False), axis=0)):
+        yield int(k), carried[:, k].tolist()
 
 
 class ArmPayload(Carried):
@@ -69,18 +81,13 @@ class ArmSpec(Strict):
 
 @dataclass(frozen=True)
 class Load:
-    """The effect of a moving arm on the link, at each sample; n samples.
+    """The effect of a moving arm on the link, at each sample; n samples."""
 
-    Attributes:
-      inertia: shape (n,), about the joint's axis [kg·m²].
-      torque: shape (n,), known torque on the link, positive forward [N·m]: of the other joints' motion, and the
-        difference of the weight from that of the recording's mounting.
-      acceleration: of the joint, shape (n,), smoothed as the others' [rad/s²].
-    """
-
-    inertia: np.ndarray
+    inertia: np.ndarray  # shape (n,), about the joint's axis [kg·m²]
+    # shape (n,), known torque on the link, positive forward [N·m]: of the other joints' motion, and the difference of
+    # the weight from that of the recording's mounting
     torque: np.ndarray
-    acceleration: np.ndarray
+    acceleration: np.ndarray  # of the joint, shape (n,), smoothed as the others' [rad/s²]
 
     def at(self, samples: slice | np.ndarray) -> Load:
         """Return the load at some of the samples."""
@@ -93,16 +100,11 @@ class Load:
 
 @dataclass(frozen=True)
 class ArmRecord:
-    """The arm of a recording.
+    """The arm of a recording."""
 
-    Attributes:
-      spec: as in the YAML.
-      mjcf: its masses and joints as an MJCF without files.
-      positions: angles of the other joints with a column, shape (n,) each [rad], by name of the joint.
-    """
-
-    spec: ArmSpec
-    mjcf: str
+    spec: ArmSpec  # as in the YAML
+    mjcf: str  # its masses and joints as an MJCF without files
+    # angles of the other joints with a column, shape (n,) each [rad], by name of the joint
     positions: Mapping[str, np.ndarray]
 
     def at(self, samples: slice | np.ndarray) -> ArmRecord:

@@ -23,33 +23,23 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from .arm import ArmSpec, Load
+from .arm import ArmSpec, Load, carried_at
 from .arm_model import compiled, put_payloads, read, weigh, written
 from .errors import InputError, nearest
 from .joint import shipped
 from .joint_parts import Mounting
 from .motion import differentiated
 
-STILL = 1e-3
-"""Range of an angle [rad] within which another joint of the arm is at rest."""
+STILL = 1e-3  # range of an angle [rad] within which another joint of the arm is at rest
 _WEIGHTLESS = 1e-9  # N·m
 
 
 class Arm:
-    """An arm and one joint of it.
-
-    Attributes:
-      spec: as in the YAML.
-      path: of the MJCF.
-      others: names of the other joints.
-    """
+    """An arm, in the MJCF or URDF `path`, and one joint of it; `others`: names of the other joints."""
 
     def __init__(self, spec: ArmSpec, folder: Path):
-        """Read the MJCF or URDF, next to the file that names it or shipped.
-
-        Raises:
-          InputError: no such file or joint, or not an arm of hinges and slides under gravity; one line.
-        """
+        """Read the MJCF or URDF, next to the file that names it or shipped. Raises `InputError`: no such file or joint,
+        or not an arm of hinges and slides under gravity; one line."""
         path = _find(spec.model, folder)
         self._begin(spec, path, read(path))
 
@@ -157,8 +147,7 @@ class Arm:
           parts: samples between gaps.
           stamps: to which the times of payloads belong, shape (n,) [s]; `time` by default.
         """
-        when = time if stamps is None else stamps
-        carried = np.array([one.carried(when) for one in self.spec.payloads], dtype=bool).reshape(-1, len(time))
+        carried = carried_at(self.spec.payloads, time if stamps is None else stamps)
         for name in positions:
             self._at(name, "column")
         mounting = self.mounting({name: float(np.median(angle)) for name, angle in positions.items()})

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from .arm import ArmPayload
-from .errors import InputError, nearest, read_text
+from .errors import InputError, nearest, read_text, refusing
 from .mjcf import check_mjcf, xml_root
 from .parameters import GRAVITY
 
@@ -21,21 +21,16 @@ _COMMENTS = re.compile(r"<!--.*?-->|<\?.*?\?>", re.DOTALL)
 
 
 def read(path: Path) -> mujoco.MjModel:
-    """Return the model of an MJCF, or of a URDF without its looks: their meshes may be missing.
-
-    Raises:
-      InputError: a file that cannot be read, or whose gravity is another; one line.
-    """
+    """Return the model of an MJCF, or of a URDF without its looks: their meshes may be missing. Raises `InputError`: a
+    file that cannot be read, or whose gravity is another; one line."""
     text = read_text(path, "an MJCF or URDF file")
     urdf = _COMMENTS.sub("", text).lstrip().startswith("<robot")
     if urdf:
         text = _without_looks(path, text)
     else:
         check_mjcf(path)
-    try:
+    with refusing(f"{path}: not a readable MJCF or URDF"):
         spec = mujoco.MjSpec.from_string(text) if urdf else mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise InputError(f"{path}: not a readable MJCF or URDF: {' '.join(str(error).split())}") from error
     return compiled(spec, path)
 
 
@@ -43,10 +38,8 @@ def compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     """Return a model with its masses only; `path`: for messages. Raises `InputError`."""
     spec.compiler.fusestatic = False  # payloads name bodies
     flags = int(spec.option.disableflags)
-    try:
+    with refusing(f"{path}: not a readable MJCF or URDF"):
         model = spec.compile()
-    except ValueError as error:
-        raise InputError(f"{path}: not a readable MJCF or URDF: {' '.join(str(error).split())}") from error
     if flags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
         raise InputError(f"{path}: option.flag.gravity: expected gravity, which is disabled")
     strength = float(np.linalg.norm(model.opt.gravity))
@@ -66,11 +59,8 @@ def _without_looks(path: Path, text: str) -> str:
 
 
 def written(model: mujoco.MjModel, kept: Collection[int] | None = None, q: np.ndarray | None = None) -> str:
-    """Return masses and joints of a model, as the text of an MJCF without looks and files.
-
-    Args:
-      kept: joints that remain, all by default; the others are fixed at their positions in q, shape (nq,).
-    """
+    """Return masses and joints of a model, as the text of an MJCF without looks and files; `kept`: joints that remain,
+    all by default; the others are fixed at their positions in q, shape (nq,)."""
     m = model
     kept = range(m.njnt) if kept is None else kept
     fixed = [j for j in range(m.njnt) if j not in kept]
@@ -167,11 +157,8 @@ def reduced(
 
 
 def put_payloads(spec: mujoco.MjSpec, payloads: Sequence[ArmPayload], where: str) -> list[mujoco.MjsBody]:
-    """Add payloads to an arm, as of `written`, as bodies without mass; `weigh` sets it. Return the bodies.
-
-    Raises:
-      InputError: a payload's body does not exist; `where`: start of the message.
-    """
+    """Add payloads to an arm, as of `written`, as bodies without mass; `weigh` sets it. Return the bodies. Raises
+    `InputError`: a payload's body does not exist; `where`: start of the message."""
     added = []
     for i, one in enumerate(payloads):
         site, body, place = spec.site(one.body), spec.body(one.body), np.array(one.position)

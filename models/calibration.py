@@ -19,13 +19,11 @@ from .joint import Joint, Slot
 from .joint_parts import OPTIONAL_SYMBOLS, POSSIBLE, SYMBOLS, Mounting, Number, Order, may_be_zero
 from .parameters import N_ORDERS, as_floats, short_way
 
-CUT = 2.5
-"""Largest number of standard deviations of a drawn variable."""
+CUT = 2.5  # largest number of standard deviations of a drawn variable
 ZEROS = ("link_encoder_zero", "torque_sensor_offset")
 """Zeros of sensors: each power cycle may set them anew, so that a diagnosis says nothing of the next one's."""
 _UNCORRELATED = 1e-3  # entry of the correlation's root below which a variable hardly changes a number
-WITHIN = 3.0
-"""Standard deviations within which a change is calibration; beyond, it is a cause."""
+WITHIN = 3.0  # standard deviations within which a change is calibration; beyond, it is a cause
 
 
 @dataclass(frozen=True)
@@ -46,12 +44,8 @@ class _Laws:
 
 
 class Calibration:
-    """The calibration variables of a joint.
-
-    Attributes:
-      names: name of each variable, shape (n,): a number's symbol, or the name of a shared tolerance.
-      slots: the numbers that the variables change.
-    """
+    """The calibration variables of a joint: their `names`, a number's symbol or the name of a shared tolerance, and the
+    `slots` of the numbers that they change."""
 
     def __init__(self, joint: Joint):
         self.joint = joint
@@ -180,8 +174,7 @@ def standard(rng: np.random.Generator, count: int) -> np.ndarray:
     return x
 
 
-NARROW = 0.5
-"""Largest relative standard deviation of a normal tolerance; a larger one is log-normal."""
+NARROW = 0.5  # largest relative standard deviation of a normal tolerance; a larger one is log-normal
 
 
 def _known(number: Number) -> Number:

@@ -16,10 +16,8 @@ import numpy as np
 
 from .errors import InputError, nearest
 
-SIZES = (14, 17, 20, 25, 32, 40)
-"""Sizes of the tables: pitch diameter of the flexspline in tenths of an inch."""
-RATIOS = (50, 80, 100, 120, 160)
-"""Ratios of the tables."""
+SIZES = (14, 17, 20, 25, 32, 40)  # sizes of the tables: pitch diameter of the flexspline in tenths of an inch
+RATIOS = (50, 80, 100, 120, 160)  # ratios of the tables
 SERIES: dict[str, str] = {
     "CSF": "cup", "CSG": "cup", "HFUC": "cup", "SHF": "cup", "SHG": "cup", "LCS": "cup", "LCSG": "cup", "LHS": "cup",
     "LHSG": "cup", "CSD": "flat", "SHD": "flat", "LCD": "flat", "LHD": "flat",
@@ -75,28 +73,19 @@ _ACCURACY = {14: 1.5, 17: 1.5, 20: 1.0, 25: 1.0, 32: 1.0, 40: 1.0}
 
 @dataclass(frozen=True)
 class Gear:
-    """A gear of a catalogue.
-
-    Attributes:
-      series, size, ratio: its name.
-      rated_torque, peak_torque: at 2000 rpm, and repeated [N·m]; breakpoints: T1, T2 [N·m].
-      stiffness: K1, K2, K3 [N·m/rad].
-      starting_torque: at the wave generator [N·m]; inertia: of the wave generator [kg·m²].
-      accuracy: angular transmission accuracy, peak to peak [rad].
-      exact: whether size and ratio are in the tables; other numbers are interpolated.
-    """
+    """A gear of a catalogue."""
 
     series: str
     size: float
     ratio: float
-    rated_torque: float
-    peak_torque: float
-    breakpoints: tuple[float, float]
-    stiffness: tuple[float, float, float]
-    starting_torque: float
-    inertia: float
-    accuracy: float
-    exact: bool
+    rated_torque: float  # at 2000 rpm [N·m]
+    peak_torque: float  # repeated [N·m]
+    breakpoints: tuple[float, float]  # T1, T2 [N·m]
+    stiffness: tuple[float, float, float]  # K1, K2, K3 [N·m/rad]
+    starting_torque: float  # at the wave generator [N·m]
+    inertia: float  # of the wave generator [kg·m²]
+    accuracy: float  # angular transmission accuracy, peak to peak [rad]
+    exact: bool  # whether size and ratio are in the tables; other numbers are interpolated
 
     @property
     def like(self) -> str:
@@ -110,14 +99,8 @@ class Gear:
 
 
 def gear(series: str, size: float, ratio: float) -> Gear:
-    """Return the catalogue's gear.
-
-    Args:
-      series: one of `SERIES`, in any case.
-      size: 8 to 65; ratio: 30 to 320. Outside the tables' 14 to 40 and 50 to 160 their trend continues.
-
-    Raises:
-      InputError: an unknown series, or a size or ratio that no gear has.
+    """Return the catalogue's gear: a series in any case, a size from 8 to 65, a ratio from 30 to 320. Outside the
+    tables' 14 to 40 and 50 to 160 their trend continues. Raises `InputError`: a series, size or ratio that no gear has.
     """
     kind = series.upper()
     if kind not in SERIES:

@@ -34,60 +34,36 @@ class Resonance:
 
 @dataclass(frozen=True)
 class Characteristics:
-    """Characteristics of a joint.
+    """Characteristics of a joint."""
 
-    Attributes:
-      torque: of the output [N·m], shape (n,), from zero to twice the rated one; torsion: of gear and wave generator
-        [rad], rotor locked, without friction; torsion_deviation: its standard deviation [rad]; stiffness: slope
-        [N·m/rad].
-      loop_torsion [rad], loop_torque [N·m]: a slow loop to the rated torque and back, rotor locked, shape (m,);
-        half_width: half the loop's width at zero torque [rad], half_width_deviation.
-      speed: of the motor [rad/s], shape (n,); friction: of mesh and bearings at the output [N·m], with its standard
-        deviation; unloaded, at the reference temperature. output_speed: of the joint [rad/s].
-      resonances: of every mounting except a bench.
-      counts: torsion of one count [rad], of motor encoder and link encoder; noise: rms of the torsion from both
-        [rad]; torque_resolution: the same as torque at the stiffness of `torque` [N·m rms].
-      sensor_noise: of the joint torque sensor [N·m rms], zero if not described.
-      efficiency_speed: of the joint [rad/s], shape (3,): 5, 20 and 60 % of the no-load speed; driving, back_driving: efficiency
-        at these speeds over `torque`, shape (3, n); with their standard deviations.
-      largest_torque: of the motor at its current limit, without friction [N·m]; no_load_speed: of the joint [rad/s].
-    """
-
-    torque: np.ndarray
-    torsion: np.ndarray
-    torsion_deviation: np.ndarray
-    stiffness: np.ndarray
-    loop_torsion: np.ndarray
-    loop_torque: np.ndarray
-    half_width: float
+    torque: np.ndarray  # of the output, shape (n,) [N·m], from zero to twice the rated one
+    torsion: np.ndarray  # of gear and wave generator, shape (n,) [rad], rotor locked, without friction
+    torsion_deviation: np.ndarray  # its standard deviation [rad]
+    stiffness: np.ndarray  # its slope [N·m/rad]
+    loop_torsion: np.ndarray  # a slow loop to the rated torque and back, rotor locked, shape (m,) [rad]
+    loop_torque: np.ndarray  # likewise [N·m]
+    half_width: float  # half the loop's width at zero torque [rad]
     half_width_deviation: float
-    speed: np.ndarray
-    output_speed: np.ndarray
-    friction: np.ndarray
+    speed: np.ndarray  # of the motor, shape (n,) [rad/s]
+    output_speed: np.ndarray  # of the joint [rad/s]
+    friction: np.ndarray  # of mesh and bearings at the output [N·m], unloaded, at the reference temperature
     friction_deviation: np.ndarray
-    resonances: tuple[Resonance, ...]
-    counts: tuple[float, float]
-    noise: float
-    torque_resolution: np.ndarray
-    sensor_noise: float
-    efficiency_speed: np.ndarray
-    driving: np.ndarray
+    resonances: tuple[Resonance, ...]  # of every mounting except a bench
+    counts: tuple[float, float]  # torsion of one count of motor encoder and link encoder [rad]
+    noise: float  # rms of the torsion from both [rad]
+    torque_resolution: np.ndarray  # the same as torque at the stiffness of `torque` [N·m rms]
+    sensor_noise: float  # of the joint torque sensor [N·m rms], zero if not described
+    efficiency_speed: np.ndarray  # of the joint, shape (3,) [rad/s]: 5, 20 and 60 % of the no-load speed
+    driving: np.ndarray  # efficiency at these speeds over `torque`, shape (3, n)
     driving_deviation: np.ndarray
-    back_driving: np.ndarray
+    back_driving: np.ndarray  # likewise
     back_driving_deviation: np.ndarray
-    largest_torque: float
-    no_load_speed: float
+    largest_torque: float  # of the motor at its current limit, without friction [N·m]
+    no_load_speed: float  # of the joint [rad/s]
 
 
 def characteristics(joint: Joint) -> Characteristics:
-    """Compute the characteristics of a description.
-
-    Args:
-      joint: the description with its effects.
-
-    Returns:
-      Curves, loop, frequencies and resolutions, with standard deviations.
-    """
+    """Compute the characteristics of a description with its effects, and their standard deviations."""
     record = joint.record()
     p = record[0]
     moved = directions(joint)

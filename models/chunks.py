@@ -15,8 +15,7 @@ from contextlib import suppress
 
 import numpy as np
 
-BLOCK = 1 << 16
-"""Samples of a long series per part: they fit a processor's cache."""
+BLOCK = 1 << 16  # samples of a long series per part: they fit a processor's cache
 
 
 def parts(count: int, block: int = BLOCK) -> Iterator[slice]:
@@ -24,8 +23,7 @@ def parts(count: int, block: int = BLOCK) -> Iterator[slice]:
     return (slice(begin, min(begin + block, count)) for begin in range(0, count, block))
 
 
-_LARGE = 1 << 22
-"""Bytes from which an array of `large` is in a file: nine minutes at 1 kHz."""
+_LARGE = 1 << 22  # bytes from which an array of `large` is in a file: nine minutes at 1 kHz
 _EVERY = 0.03  # s
 _mapped: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 _lock = threading.Lock()

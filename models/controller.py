@@ -20,10 +20,8 @@ CONTROLLER = np.dtype(
 )  # fmt: skip
 """The controller as one record for compiled code; `mode`: index in `MODES`; `feed`: current per commanded torque [A/(N·m)]."""
 
-Mode = Literal["position", "velocity", "torque"]
-"""What the drive is commanded."""
-MODES: dict[Mode, str] = {"position": "rad", "velocity": "rad/s", "torque": "N·m"}
-"""Units of commands, output side."""
+Mode = Literal["position", "velocity", "torque"]  # what the drive is commanded
+MODES: dict[Mode, str] = {"position": "rad", "velocity": "rad/s", "torque": "N·m"}  # units of commands, output side
 
 
 class Controller(Strict):

@@ -49,16 +49,8 @@ _ENCODER = re.compile(r"\s*(\d+)\s*-?\s*(bits?|counts?)?\s*")
 
 
 def quantity(text: str, symbol: str, where: str) -> float:
-    """Return a number of a datasheet (`181 gcm²`, `0.6 mH`) in the unit of a description; SI without a unit.
-
-    Args:
-      text: number and unit.
-      symbol: of the joint's number.
-      where: for messages.
-
-    Raises:
-      InputError: not a number, or a wrong unit.
-    """
+    """Return a number of a datasheet (`181 gcm²`, `0.6 mH`) in the unit of a description's `symbol`; SI without a unit.
+    Raises `InputError`: not a number, or a wrong unit."""
     unit = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][0]
     scales = _SCALES.get(plain(unit), {plain(unit): 1.0})
     known = {_bare(name): scale for name, scale in scales.items()}
@@ -84,11 +76,7 @@ def _bare(unit: str) -> str:
 
 def encoder(text: str, where: str) -> dict[str, int]:
     """Return an encoder's resolution, `4096` counts per revolution (after quadrature) or `20 bit`, as in
-    `joint_parts.EncoderSpec`.
-
-    Raises:
-      InputError: neither.
-    """
+    `joint_parts.EncoderSpec`. Raises `InputError`: neither."""
     found = _ENCODER.fullmatch(text)
     if found is None or int(found[1]) < 2 or len(found[1]) > 12:
         raise InputError(f"{where}: expected counts per revolution (4096) or bits (20 bit), got {text!r}")
@@ -96,11 +84,8 @@ def encoder(text: str, where: str) -> dict[str, int]:
 
 
 def gear_name(text: str, where: str) -> tuple[str, float, float]:
-    """Return series, size and ratio of a gear's name, `CSG-25-100`, without the maker's suffix.
-
-    Raises:
-      InputError: another form, or a gear that no catalogue has.
-    """
+    """Return series, size and ratio of a gear's name, `CSG-25-100`, without the maker's suffix. Raises `InputError`:
+    another form, or a gear that no catalogue has."""
     found = _GEAR.match(text)
     if found is None:
         raise InputError(f"{where}: expected series-size-ratio (CSG-25-100), got {text!r}")
@@ -113,35 +98,26 @@ def gear_name(text: str, where: str) -> tuple[str, float, float]:
 
 @dataclass(frozen=True)
 class Datasheet:
-    """Numbers of the datasheets of gear, motor and encoders, SI.
+    """Numbers of the datasheets of gear, motor and encoders, SI."""
 
-    Attributes:
-      name: of the joint; empty: from the gear.
-      series, size, ratio: of the gear, `CSG`, 25, 100.
-      numbers: given numbers of a description by symbol: Kt [N·m/A], R [ohm], L [H], Jm [kg·m²], and others.
-      motor_encoder, link_encoder: resolutions, as of `encoder`.
-      motor: its name, for sources.
-      sources: of given numbers by symbol, if not the motor's or gear's datasheet.
-      tolerances: relative standard deviations of given numbers, if not those of a datasheet.
-      inertia, gravity_moment: of the load [kg·m²], [N·m] at horizontal; None: by the gear's size.
-      description: in words; empty: gear and motor.
-      gear: the gear's data sheet; friction and hysteresis are fitted to it.
-    """
-
-    series: str
-    size: float
-    ratio: float
+    series: str  # of the gear: CSG
+    size: float  # 25
+    ratio: float  # 100
+    # given numbers of a description by symbol: Kt [N·m/A], R [ohm], L [H], Jm [kg·m²], and others
     numbers: Mapping[str, float]
-    motor_encoder: Mapping[str, int]
-    link_encoder: Mapping[str, int]
-    name: str = ""
-    motor: str = ""
+    motor_encoder: Mapping[str, int]  # resolutions, as of `encoder`
+    link_encoder: Mapping[str, int]  # resolutions, as of `encoder`
+    name: str = ""  # of the joint; empty: from the gear
+    motor: str = ""  # its name, for sources
+    # of given numbers by symbol, if not the motor's or gear's datasheet
     sources: Mapping[str, str] = field(default_factory=dict)
+    # relative standard deviations of given numbers, if not those of a datasheet
     tolerances: Mapping[str, float] = field(default_factory=dict)
+    # inertia, gravity_moment: of the load [kg·m²], [N·m] at horizontal; None: by the gear's size
     inertia: float | None = None
     gravity_moment: float | None = None
-    description: str = ""
-    gear: GearSheet | None = None
+    description: str = ""  # in words; empty: gear and motor
+    gear: GearSheet | None = None  # the gear's data sheet; friction and hysteresis are fitted to it
 
 
 @dataclass(frozen=True)
@@ -157,34 +133,18 @@ class Filled:
 
 @dataclass(frozen=True)
 class NewJoint:
-    """A description from datasheets.
+    """A description from datasheets."""
 
-    Attributes:
-      joint: the description.
-      filled: numbers filled by rules, in order.
-      gear: of the catalogue.
-      path: of its file.
-    """
-
-    joint: Joint
-    filled: tuple[Filled, ...]
-    gear: Gear
-    path: Path
+    joint: Joint  # the description
+    filled: tuple[Filled, ...]  # numbers filled by rules, in order
+    gear: Gear  # of the catalogue
+    path: Path  # of its file
 
 
 def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
-    """Describe a joint.
-
-    Args:
-      sheet: its known numbers.
-      path: of its file, which names the MJCF; by default the joint's name.
-
-    Returns:
-      The complete description, with the rules that filled it.
-
-    Raises:
-      InputError: an impossible gear or number, or a missing number.
-    """
+    """Return the complete description of a joint by its known numbers, with the rules that filled it. `path`: of its
+    file, which names the MJCF; by default the joint's name. Raises `InputError`: an impossible gear or number, or a
+    missing number."""
     catalogued = gear(sheet.series, sheet.size, sheet.ratio)
     for symbol, value in sheet.numbers.items():
         if symbol not in SYMBOLS:
@@ -267,18 +227,8 @@ def _given(symbol: str, sheet: Datasheet, catalogued: Gear) -> tuple[float, str]
 
 
 def write_joint(joint: Joint, path: Path) -> tuple[Path, Path]:
-    """Write a description with a line per number, and its MJCF.
-
-    Args:
-      joint: the description; its `model` names the MJCF.
-      path: of the YAML file.
-
-    Returns:
-      Paths of both.
-
-    Raises:
-      InputError: they cannot be written.
-    """
+    """Write a description with a line per number, and its MJCF (`joint.model`) next to it; return both paths. Raises
+    `InputError`: they cannot be written."""
     mjcf = path.parent / joint.model
     for target, text in ((mjcf, mjcf_text(joint)), (path, _text(joint))):
         write_text(target, text)

@@ -33,8 +33,7 @@ from numba.extending import (
     register_model,
 )
 
-LANES = 8
-"""Number of directions of a dual number's derivatives."""
+LANES = 8  # number of directions of a dual number's derivatives
 
 _DOUBLE, _INDEX = ir.DoubleType(), ir.IntType(64)
 _VECTOR = ir.VectorType(_DOUBLE, LANES)

@@ -32,8 +32,7 @@ _ROTOR, _MESH, _FLEXSPLINE, _LINK, _JOINT_TORQUE, _LINK_POSITION, _MOTOR_CURRENT
 )
 
 
-UNREAD = math.nan
-"""Value of a state on which a torque does not depend; a torque that reads it is NaN."""
+UNREAD = math.nan  # value of a state on which a torque does not depend; a torque that reads it is NaN
 
 
 class State(NamedTuple):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
-LARGEST_TEXT = 10_000_000
-"""Most bytes of a text file of a user; ten times the largest that we write."""
+LARGEST_TEXT = 10_000_000  # most bytes of a text file of a user; ten times the largest that we write
 
-_FEW = 40
-"""Most keys in a message."""
+_FEW = 40  # most keys in a message
 
 
 class InputError(ValueError):
@@ -32,6 +31,20 @@ class InputWarning(UserWarning):
 def one_line(text: str) -> str:
     """Return text as one line without control characters for a terminal."""
     return "".join(c if c.isprintable() else " " if c in "\n\t" else f"\\x{ord(c):02x}" for c in text)
+
+
+def whole(error: BaseException) -> str:
+    """Return an error's message as one line."""
+    return " ".join(str(error).split())
+
+
+@contextmanager
+def refusing(what: str) -> Iterator[None]:
+    """Turn a `ValueError` of MuJoCo into an `InputError`: `what`, and the message in a line."""
+    try:
+        yield
+    except ValueError as error:
+        raise InputError(f"{what}: {whole(error)}") from error
 
 
 def first_line(error: BaseException) -> str:
@@ -79,11 +92,7 @@ def read_text(path: Path, what: str, largest: int = LARGEST_TEXT) -> str:
 
 
 def check_each_once(names: Sequence[str], what: str) -> None:
-    """Refuse names of which one is given more than once.
-
-    Raises:
-      InputError: `what` they are, and the first such name.
-    """
+    """Refuse names of which one is given more than once. Raises `InputError`: `what` they are, and the first such name."""
     for name in names:
         if (count := names.count(name)) > 1:
             times = "twice" if count == 2 else f"{count} times"

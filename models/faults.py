@@ -27,12 +27,7 @@ _UNITS = {"K2": "N·m/rad", "K3": "N·m/rad", "Fs": "N·m"}
 
 def contradictions(value: Mapping[str, float], fitted: Collection[str]) -> Iterator[Fault]:
     """Yield numbers of a joint that contradict each other: a gear that softens with torque, Coulomb above static
-    friction.
-
-    Args:
-      value: by symbol, in the units of the specification.
-      fitted: symbols of fitted numbers. They may cross, as each follows the data.
-    """
+    friction. `fitted`: symbols of numbers that may cross, as each follows the data."""
 
     def ordered(small: str, large: str, why: str, severity: Severity = "error") -> Iterator[Fault]:
         if small in value and large in value and value[small] > value[large]:

@@ -119,11 +119,7 @@ _Loader.add_constructor(_FLOAT, _number)
 
 
 def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
-    """Return the file of a shipped name or a path.
-
-    Raises:
-      InputError: neither; one line.
-    """
+    """Return the file of a shipped name or a path. Raises `InputError`: neither; one line."""
     path = known.get(str(source), Path(source))
     if not is_there(path):
         hint = nearest(str(source), known)
@@ -145,11 +141,8 @@ def read_yaml(path: Path, what: str) -> Any:
 
 
 def read_json(path: Path, what: str, largest: int = LARGEST_TEXT) -> Any:
-    """Parse a JSON file with finite numbers, such as commands write (`json_text`).
-
-    Raises:
-      InputError: it cannot be read, or is not JSON.
-    """
+    """Parse a JSON file with finite numbers, such as commands write (`json_text`). Raises `InputError`: it cannot be
+    read, or is not JSON."""
     text = read_text(path, what, largest)
     try:
         return json.loads(text, parse_constant=_finite_number, parse_float=_finite_number, parse_int=_integer)
@@ -236,11 +229,7 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, moved into place when it is complete.
-
-    Raises:
-      InputError: it cannot be written.
-    """
+    """Write a text file, moved into place when it is complete. Raises `InputError`: it cannot be written."""
     with write_into_place(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -262,18 +251,13 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], names: Sequence[st
 
 
 def check_format(data: Any, path: Path) -> None:
-    """Refuse a file of another version.
-
-    Raises:
-      InputError: its `format` is not 1, as of a file without `format`.
-    """
+    """Refuse a file of another version. Raises `InputError`: its `format` is not 1, as of a file without `format`."""
     found = data.get("format", 1) if isinstance(data, dict) else 1
     if found != 1:
         raise InputError(f"{path}: format: expected 1, got {shown(found)}: written by another version")
 
 
-_WORD = re.compile(r"[\w .·²/+-]{1,60}")
-"""What a key may look like. Other text is not shown."""
+_WORD = re.compile(r"[\w .·²/+-]{1,60}")  # what a key may look like. Other text is not shown.
 
 
 def place(path: Path, field: str) -> str:
@@ -293,15 +277,8 @@ def place(path: Path, field: str) -> str:
 
 
 def parse(data: Any, model: type[M], where: str | Path) -> M:
-    """Check data against a pydantic model.
-
-    Args:
-      data: of a file or a caller. model: the expected type.
-      where: prefix of errors. For a path, the error names the line of that file.
-
-    Raises:
-      InputError: the first error, in one line.
-    """
+    """Check data of a file or a caller against a pydantic model. `where`: prefix of errors; for a path, the error names
+    the line of that file. Raises `InputError`: the first error, in one line."""
     if not isinstance(data, dict):
         raise InputError(f"{where}: expected a mapping of keys, got {kind_of(data)}")
     try:
@@ -387,8 +364,7 @@ def _described(one: Any, model: type[BaseModel], alternatives: list[Any]) -> str
     return f"{field}: expected {_expected(one, model)}, got {came}"
 
 
-OWN_ERROR = "Value error, "
-"""Prefix that pydantic adds to the message of a validator."""
+OWN_ERROR = "Value error, "  # prefix that pydantic adds to the message of a validator
 
 
 def _expected(one: Any, model: type[BaseModel]) -> str:
@@ -444,11 +420,8 @@ def shown(value: Any) -> str:
 
 
 def check_name(name: str, where: str) -> str:
-    """Return a name that is safe as the name of a file or folder.
-
-    Raises:
-      InputError: separators, control characters, a dot at the start, or more than 100 characters.
-    """
+    """Return a name that is safe as the name of a file or folder. Raises `InputError`: separators, control characters,
+    a dot at the start, or more than 100 characters."""
     if not _NAME.fullmatch(name) or not name.isprintable():
         raise InputError(
             f"{where}: expected a name of at most 100 letters, digits and signs, without slashes and not beginning with a "
@@ -459,11 +432,8 @@ def check_name(name: str, where: str) -> str:
 
 @contextmanager
 def write_into_place(path: Path) -> Iterator[Path]:
-    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it.
-
-    Raises:
-      InputError: it cannot be written (no permission, a full disk); one line.
-    """
+    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it. Raises
+    `InputError`: it cannot be written (no permission, a full disk); one line."""
     try:
         with write_whole(path) as temporary:
             yield temporary

@@ -28,16 +28,12 @@ _SPEEDS, _LOADS = 12, 9
 
 @dataclass(frozen=True)
 class FrictionMap:
-    """Friction over a grid; n points.
+    """Friction over a grid; n points."""
 
-    Attributes:
-      columns: by the names of `COLUMNS`, shape (n,) each. `efficiency`: of driving if speed and load have one sign,
-        of back-driving (`back_driving` = 1) if they differ; NaN without load, 0 if the gear does not back-drive.
-      relative: RMS standard deviation of the friction over RMS friction.
-    """
-
+    # by the names of `COLUMNS`, shape (n,) each. `efficiency`: of driving if speed and load have one sign, of
+    # back-driving (`back_driving` = 1) if they differ; NaN without load, 0 if the gear does not back-drive.
     columns: dict[str, np.ndarray]
-    relative: float
+    relative: float  # RMS standard deviation of the friction over RMS friction
 
 
 @kernel
@@ -60,11 +56,7 @@ def steady(record: np.ndarray) -> np.ndarray:
 
 def friction_map(joint: Joint) -> FrictionMap:
     """Compute a joint's friction at speeds up to the no-load speed and loads up to twice the rated torque, for either
-    sign of the speed.
-
-    Args:
-      joint: its description; the standard deviation is by its tolerances, or by its diagnosis.
-    """
+    sign of the speed; `joint`: its description; the standard deviation is by its tolerances, or by its diagnosis."""
     record = steady(joint.record())
     p = record[0]
     top = float(p["supply_voltage"] / (p["Kt"] * p["N"]))
@@ -89,15 +81,9 @@ def friction_map(joint: Joint) -> FrictionMap:
 
 
 def efficiency(speed: np.ndarray, load: np.ndarray, friction: np.ndarray, N: float) -> np.ndarray:
-    """Return the efficiency [1], of driving where speed and load have one sign, else of back-driving, shape (n,).
-
-    Args:
-      speed, load: at the output [rad/s], [N·m]; friction: at the motor [N·m]; shape (n,) each.
-      N: gear ratio.
-
-    Returns:
-      NaN without load; 0 where the gear does not back-drive.
-    """
+    """Return the efficiency [1] at speeds [rad/s] and loads [N·m] of the output with a friction [N·m] at the motor: of
+    driving where speed and load have one sign, else of back-driving; NaN without load, 0 where the gear does not
+    back-drive. All of shape (n,); N: gear ratio."""
     torque = load / N
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.where(speed * load < 0, np.maximum((torque + friction) / torque, 0.0), torque / (torque + friction))

@@ -117,8 +117,7 @@ class GearSheet(Strict):
         return found
 
 
-RUNNING, EFFICIENCY = "running torque [N·m]", "efficiency"
-"""Kinds of entries that a data sheet states over speed."""
+RUNNING, EFFICIENCY = "running torque [N·m]", "efficiency"  # kinds of entries that a data sheet states over speed
 _CREEP = 1e-9  # rad/s: motion starts
 
 
@@ -186,29 +185,17 @@ _READING = 0.03  # relative error of reading a number from a data sheet
 
 @dataclass(frozen=True)
 class GearFit:
-    """A fit to a data sheet.
+    """A fit to a data sheet."""
 
-    Attributes:
-      numbers: values and relative standard deviations by symbol (Fs, Fc, vs, bw, viscous_exponent), without the scatter
-        that all have in common.
-      effects: in the form of a description.
-    """
-
+    # values and relative standard deviations by symbol (Fs, Fc, vs, bw, viscous_exponent), without the scatter that all
+    # have in common
     numbers: Mapping[str, tuple[float, float]]
-    effects: list[dict[str, Any]]
+    effects: list[dict[str, Any]]  # in the form of a description
 
 
 def fit(sheet: GearSheet, rules: Mapping[str, float], given: Mapping[str, float]) -> GearFit:
-    """GearFit friction to a data sheet. A number that it does not determine keeps its rule.
-
-    Args:
-      sheet: the data sheet.
-      rules: values of the rules, Fs, Fc, vs, bw.
-      given: known numbers, N among them; the fit keeps them.
-
-    Returns:
-      Fitted numbers and effects.
-    """
+    """Return numbers and effects of friction that fit a data sheet. `rules`: values of Fs, Fc, vs, bw, which those keep
+    that the sheet does not determine; `given`: known numbers, N among them, which the fit keeps."""
     from scipy.optimize import least_squares
 
     entries = sheet.entries()
@@ -311,17 +298,9 @@ _EXTENT = 85e-6  # rad: middle of the ordinary extents of the cause `hysteresis`
 
 
 def hysteresis(sheet: GearSheet, record: np.ndarray, rated: float) -> list[dict[str, Any]]:
-    """Return the effect `hysteresis` that widens a joint's slow loop to a data sheet's hysteresis loss, in a list.
-
-    The list is empty if friction alone makes the loop that wide.
-
-    Args:
-      sheet: with a hysteresis loss.
-      record: of the joint, shape (1,); rated: its rated torque [N·m].
-
-    Raises:
-      InputError: a loss that no hysteresis torque below the rated torque explains.
-    """
+    """Return the effect `hysteresis` that widens the slow loop of a joint's record to a data sheet's hysteresis loss,
+    in a list; an empty one if friction alone makes the loop that wide. Raises `InputError`: a loss that no hysteresis
+    torque below the `rated` one explains."""
     from scipy.optimize import brentq
 
     loss, p = float(sheet.hysteresis_loss or 0.0), record.copy()[0]

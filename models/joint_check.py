@@ -48,17 +48,8 @@ class Checked:
 
 
 def check(source: str | Path) -> Checked:
-    """Check a joint description.
-
-    Args:
-      source: its file, or the name of a shipped one.
-
-    Returns:
-      All errors and warnings, in the order of the file if known.
-
-    Raises:
-      InputError: no such file.
-    """
+    """Return all errors and warnings of a joint's file, or of a shipped joint, in the order of the file if known.
+    Raises `InputError`: no such file."""
     path = known_joints().get(str(source).replace("_", "-"), Path(source))
     if not path.is_file():
         load_joint(source)  # raises with the known names

@@ -6,9 +6,8 @@ import xml.etree.ElementTree as ElementTree
 
 from .joint import Joint, shipped
 from .mjcf import STATED
-from .parameters import GRAVITY
+from .payload import link_mass
 
-_LEVER = 0.25  # m: largest distance of the link's centre of mass from the axis
 _COMMENT = """ {name}: one robot joint with a harmonic drive; rotor, wave generator, flange and link on one axis.
 
        Opens in any MuJoCo viewer. Alone, the two torsion tendons are linear springs (K1, Kw0). The testbed sets every
@@ -46,8 +45,7 @@ def mjcf_text(joint: Joint) -> str:
 
 def _inertial(inertia: float, moment: float) -> dict[str, str]:
     """Return mass, place and shape of a link by its inertia about the axis [kg·m²] and gravity moment [N·m]."""
-    lever = min(_LEVER, 0.6 * inertia * GRAVITY / moment) if moment > 0 else 0.0
-    mass = moment / GRAVITY / lever if moment > 0 else 0.1
+    mass, lever = link_mass(inertia, moment)
     own = inertia - mass * lever**2
     return {
         "mass": f"{mass:.8g}",

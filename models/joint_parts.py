@@ -94,8 +94,7 @@ class Order(Strict):
     """[rad]."""
 
 
-LOCKED = 1e6
-"""Inertia [kg·m²] from which a mounting is the bench."""
+LOCKED = 1e6  # inertia [kg·m²] from which a mounting is the bench
 
 
 class Mounting(Strict):
@@ -372,8 +371,7 @@ class ValidRange(Strict):
         return np.maximum(np.maximum(low - x, x - high), 0.0) / max(high - low, 1e-9)
 
 
-_SLACK = 0.05
-"""Share of a range that is allowed as a margin."""
+_SLACK = 0.05  # share of a range that is allowed as a margin
 _BEYOND = {
     "link_position": "link angle", "link_velocity": "link speed", "joint_torque": "load",
     "driving": "motion that the motor drives", "driven": "motion that the load drives",

@@ -30,12 +30,10 @@ import numba
 from numba.core import config as numba_config
 
 _PACKAGE = __name__.split(".")[0]
-_DUAL = f"{_PACKAGE}.models.dual"
-"""Any kernel may be compiled for dual numbers, too."""
+_DUAL = f"{_PACKAGE}.models.dual"  # any kernel may be compiled for dual numbers, too
 _BEGAN = time.time()
 _IMPORT = re.compile(r"^\s*from\s+(\.*[\w.]*)\s+import\s+(\([^)]*\)|[^\n#]*)", re.MULTILINE)
-_KEPT = 4
-"""Caches of earlier states that are kept per folder, for switching back and forth."""
+_KEPT = 4  # caches of earlier states that are kept per folder, for switching back and forth
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:

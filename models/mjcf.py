@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import mujoco
 
-from .errors import InputError, read_text
+from .errors import InputError, read_text, refusing
 
 STATED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (".//joint[@name='rotor']", "damping", ("bm",)),
@@ -28,32 +28,21 @@ STATED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (".//dcmotor[@name='mesh_friction']", "damping", ("bw",)),
 )
 """Numbers of a description in a joint's MJCF: element, attribute, symbols in the order of its values."""
-_LARGEST = 10_000_000
-"""Most characters of an MJCF file; meshes and textures are separate files."""
+_LARGEST = 10_000_000  # most characters of an MJCF file; meshes and textures are separate files
 _DEEPEST = 10  # of includes within includes
 
 
 def check_mjcf(path: Path) -> None:
-    """Check that an MJCF and all its files are in its folder.
-
-    Raises:
-      InputError: a file that is not XML, has document type declarations or plugins, or names a file elsewhere; one
-        line.
-    """
+    """Check that an MJCF and all its files are in its folder. Raises `InputError`: a file that is not XML, has document
+    type declarations or plugins, or names a file elsewhere; one line."""
     _check(path, path.resolve().parent, _DEEPEST)
 
 
 def inherited(path: Path, hinge: str) -> tuple[bool, bool]:
-    """Return what a hinge of an MJCF has from classes and includes: whether its damping or stiffness has higher orders; and
-    whether angles are in radians.
-
-    Raises:
-      InputError: a file that is no MJCF, or another kind of joint; one line.
-    """
-    try:
+    """Return what a hinge of an MJCF has from classes and includes: whether its damping or stiffness has higher orders;
+    and whether angles are in radians. Raises `InputError`: a file that is no MJCF, or another kind of joint."""
+    with refusing(f"{path}: not a readable MJCF"):
         spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise InputError(f"{path}: not a readable MJCF: {' '.join(str(error).split())}") from error
     joint = spec.joint(hinge)
     if joint is not None and joint.type != mujoco.mjtJoint.mjJNT_HINGE:
         raise InputError(f"{path}: joint {hinge!r}: expected a hinge, got another kind by its class")
@@ -78,11 +67,8 @@ def stated_numbers(path: Path) -> dict[str, float]:
 
 
 def mjcf_files(path: Path) -> list[Path]:
-    """Return an MJCF and its existing files (includes, meshes, textures); all are in its folder.
-
-    Raises:
-      InputError: as `check_mjcf`.
-    """
+    """Return an MJCF and its existing files (includes, meshes, textures); all are in its folder. Raises `InputError`:
+    as `check_mjcf`."""
     check_mjcf(path)
     folder, found, waiting = path.resolve().parent, [path], [path]
     while waiting:
@@ -103,11 +89,8 @@ def mjcf_files(path: Path) -> list[Path]:
 
 
 def xml_root(path: Path, text: str, kind: str) -> ElementTree.Element:
-    """Return the root element of a file's text, which must not declare entities; `kind`: with its article, for messages.
-
-    Raises:
-      InputError: a document type declaration, or no XML; one line.
-    """
+    """Return the root element of a file's text, which must not declare entities; `kind`: with its article, for
+    messages. Raises `InputError`: a document type declaration, or no XML; one line."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise InputError(f"{path}: expected {kind} file without document type declarations")
     try:

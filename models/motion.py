@@ -17,12 +17,9 @@ import numpy as np
 from .chunks import kept, large
 from .kernels import kernel
 
-CUTOFF = 120.0
-"""Passband fc of the smoother [Hz], or `SHARE` of the sampling rate if that is less."""
-SHARE = 0.25
-"""Passband over sampling rate of a slow log: half of the Nyquist frequency, for two derivatives."""
-BLOCK = 1 << 15
-"""Samples that the smoother keeps in memory at a time."""
+CUTOFF = 120.0  # passband fc of the smoother [Hz], or `SHARE` of the sampling rate if that is less
+SHARE = 0.25  # passband over sampling rate of a slow log: half of the Nyquist frequency, for two derivatives
+BLOCK = 1 << 15  # samples that the smoother keeps in memory at a time
 _FEWEST = 5  # samples that can be differentiated
 
 
@@ -184,16 +181,11 @@ def _smooth(time, y, offset, q, scale, square, step, every, block, value, rate, 
 
 @dataclass(frozen=True)
 class Smooth:
-    """Smoothed channels on a uniform grid.
+    """Smoothed channels on a uniform grid."""
 
-    Attributes:
-      time: grid [s], shape (n,).
-      value: shape (n, c), the channels.
-      rate, acceleration: their first two derivatives in time, shape (n, c), or of the first channels, as requested.
-    """
-
-    time: np.ndarray
-    value: np.ndarray
+    time: np.ndarray  # grid [s], shape (n,)
+    value: np.ndarray  # shape (n, c), the channels
+    # rate, acceleration: their first two derivatives in time, shape (n, c), or of the first channels, as requested
     rate: np.ndarray
     acceleration: np.ndarray
 
@@ -242,8 +234,7 @@ def smooth(
     return Smooth(kept(grid), value.T, rate.T, acceleration.T)
 
 
-NOISY = 0.02
-"""Largest noise share of the acceleration's power."""
+NOISY = 0.02  # largest noise share of the acceleration's power
 _LEAST, _STEPS = 0.5, 32  # candidate passbands: lowest [Hz], number
 _WINDOW = 4.0  # s of a spectrum
 _LONGEST, _SHORTEST, _WINDOWS = 1 << 15, 32, 48  # samples of a window, windows of a long log
@@ -268,12 +259,8 @@ def windows(x: np.ndarray, parts: Sequence[slice], size: int, count: int, step: 
 def spectrum(
     time: np.ndarray, x: np.ndarray, interval: float, parts: Sequence[slice]
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return frequencies [Hz] and power density [rad²/Hz] of a position; None for one that is too short.
-
-    Args:
-      time: shape (n,) [s]; x: shape (n,) [rad]; interval: between samples [s].
-      parts: without gaps.
-    """
+    """Return frequencies [Hz] and power density [rad²/Hz] of a position [rad] over the `parts` without gaps; None for
+    one that is too short. `time`, `x`: shape (n,); `interval`: between samples [s]."""
     longest = max((part.stop - part.start for part in parts), default=0)
     size = min(_LONGEST, max(round(_WINDOW / interval), 2 * _SHORTEST), longest // 3)
     if size < _SHORTEST:

@@ -1,10 +1,16 @@
-"""Results in a notebook (`_repr_html_`): small tables in HTML, everything escaped."""
+"""Results in a notebook: a short text (`__repr__`), and small tables in HTML (`_repr_html_`), everything escaped."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
+
+
+def shortened(head: str, lines: Sequence[str], most: int = 8) -> str:
+    """Return a heading with an open bracket, the first lines, and how many there are more."""
+    more = len(lines) - most
+    return "\n".join([head, *lines[:most], f"  and {more} more)" if more > 0 else ")"])
 
 
 def paragraph(word: str, text: str = "") -> str:

@@ -145,11 +145,8 @@ def at_end(action: Callable[[], object]) -> Iterator[None]:
 
 
 def abandon() -> str:
-    """Remove unfinished output when a process ends without waiting for its threads.
-
-    Returns:
-      The message of an action; empty if none has one.
-    """
+    """Remove unfinished output when a process ends without waiting for its threads; return the message of an action, if
+    one has any."""
     message = ""
     for action in reversed(list(_at_end)):
         with suppress(Exception):
@@ -158,11 +155,8 @@ def abandon() -> str:
 
 
 def recover(path: Path) -> None:
-    """Complete output that an ended process had written into a folder but not moved up.
-
-    Raises:
-      InputError: the folder cannot be written to.
-    """
+    """Complete output that an ended process had written into a folder but not moved up. Raises `InputError`: the folder
+    cannot be written to."""
     try:
         if _waiting(path):
             with _locked(path):
@@ -175,10 +169,7 @@ def recover(path: Path) -> None:
 
 def manifest(path: Path) -> dict[str, str]:
     """Return the files of a folder that were written here (`a/b.txt`) with their makers; empty without a manifest.
-
-    Raises:
-      InputError: the manifest cannot be read now, or another version wrote it.
-    """
+    Raises `InputError`: the manifest cannot be read now, or another version wrote it."""
     file = path / MANIFEST
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
@@ -318,11 +309,8 @@ def _locked(path: Path) -> Iterator[None]:
 
 @contextmanager
 def write_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it.
-
-    Raises:
-      OSError: it cannot be written.
-    """
+    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it. Raises
+    `OSError`: it cannot be written."""
     if any(part.startswith(_NEW) for part in path.parts):  # inside a folder that appears complete
         path.parent.mkdir(parents=True, exist_ok=True)
         yield path

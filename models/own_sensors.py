@@ -53,11 +53,7 @@ def names() -> tuple[str, ...]:
 
 
 def get(name: str) -> Sensor:
-    """Return a sensor.
-
-    Raises:
-      InputError: not a sensor, or one that does not follow its interface.
-    """
+    """Return a sensor. Raises `InputError`: not a sensor, or one that does not follow its interface."""
     return plugins.made(_offered()[name], Sensor, _check)
 
 
@@ -84,16 +80,8 @@ def channel(name: str) -> Channel | None:
 def readings(
     time: np.ndarray, truth: Mapping[str, np.ndarray], stream: Callable[[str], np.random.Generator]
 ) -> dict[str, np.ndarray]:
-    """Return the readings of all sensors of plugins, shape (n,) each, by channel.
-
-    Args:
-      time: of the samples [s], shape (n,).
-      truth: true signals by name, shape (n,) each.
-      stream: random numbers of a name.
-
-    Raises:
-      InputError: readings of another shape, or that are not finite.
-    """
+    """Return the readings of all sensors of plugins, shape (n,) each, by channel. `time`, `truth`: as of `Sensor.read`;
+    `stream`: random numbers of a name. Raises `InputError`: readings of another shape, or that are not finite."""
     found = {}
     for name in names():
         values = np.asarray(get(name).read(time, truth, stream(f"sensor {name}")), float)

@@ -13,10 +13,8 @@ import numpy as np
 N_ORDERS = 8
 """Most orders of each: kinematic error, cogging, position-dependent friction, the link encoder's error (once per
 turn, eccentricity, included)."""
-N_DISCREPANCIES = 4
-"""Most nonparametric model discrepancies of a joint."""
-N_COEFFICIENTS = 32
-"""Coefficients of one model discrepancy."""
+N_DISCREPANCIES = 4  # most nonparametric model discrepancies of a joint
+N_COEFFICIENTS = 32  # coefficients of one model discrepancy
 
 # Place and variable of a model discrepancy: codes of `discrepancy_place`, `discrepancy_variable`.
 PLACES = ("none", "rotor", "mesh", "flexspline", "link", "joint_torque", "link_position", "motor_current")
@@ -25,10 +23,8 @@ VARIABLES = (
     "motor_position_two_turns",
 )  # fmt: skip
 
-GRAVITY = 9.80665
-"""Standard gravity [m/s²]."""
-REFERENCE_TEMPERATURE = 25.0
-"""Default temperature [°C] of a joint's stated friction."""
+GRAVITY = 9.80665  # standard gravity [m/s²]
+REFERENCE_TEMPERATURE = 25.0  # default temperature [°C] of a joint's stated friction
 
 _F = np.float64
 PARAMETERS = np.dtype(
@@ -71,8 +67,7 @@ PARAMETERS = np.dtype(
     align=True,
 )  # fmt: skip
 
-SIZE = PARAMETERS.itemsize // 8
-"""Number of float64 values in a record."""
+SIZE = PARAMETERS.itemsize // 8  # number of float64 values in a record
 
 
 def neutral() -> np.ndarray:

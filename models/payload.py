@@ -14,6 +14,8 @@ from .joint_parts import Mounting
 from .motion import differentiated
 from .parameters import GRAVITY
 
+_LEVER = 0.25  # m: largest distance of the link's centre of mass from the axis
+
 
 class PayloadSpec(Strict):
     """A payload on the link."""
@@ -52,6 +54,16 @@ class CarriedMass(PayloadSpec, Carried):
     """A payload that the link picks up and puts down."""
 
 
+def link_mass(inertia: float, gravity_moment: float) -> tuple[float, float]:
+    """Return a mass of a link [kg] and the distance of its centre from the axis [m], by its inertia about the axis
+    [kg·m²] and its gravity moment [N·m]: a description has no more."""
+    moment = gravity_moment / GRAVITY
+    if moment <= 0.0:
+        return 0.1, 0.0
+    lever = min(_LEVER, 0.6 * inertia / moment)  # its own m r² is at most 60 % of the inertia
+    return moment / lever, lever
+
+
 def carrying(record: np.ndarray, payloads: Sequence[CarriedMass]) -> np.ndarray:
     """Return a joint's parameter record, shape (1,), with payloads on the rigid part of its link."""
     record = record.copy()
@@ -70,14 +82,8 @@ def carrying(record: np.ndarray, payloads: Sequence[CarriedMass]) -> np.ndarray:
 def load_of(
     payloads: Sequence[CarriedMass], link: Mounting, time: np.ndarray, position: np.ndarray, parts: Sequence[slice]
 ) -> Load:
-    """Return the effect of payloads on the link, at each sample.
-
-    Args:
-      payloads: their times count as `time` does.
-      link: load of the link without them.
-      time: shape (n,) [s]; position: of the link, shape (n,) [rad].
-      parts: samples between gaps.
-    """
+    """Return the effect of payloads at each sample, shape (n,), on a link whose load without them is `link`; their
+    times count as `time` does [s]. `position`: of the link [rad]; `parts`: samples between gaps."""
     inertia, torque, acceleration = np.full(len(time), link.inertia), np.zeros(len(time)), np.zeros(len(time))
     for one in payloads:
         on = one.carried(time)

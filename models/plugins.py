@@ -22,7 +22,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, TypeVar
 
-from .errors import InputError, one_line
+from .errors import InputError, one_line, whole
 
 Kind = Literal["estimators", "causes", "sensors"]
 _KINDS: tuple[Kind, ...] = ("estimators", "causes", "sensors")
@@ -32,19 +32,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of an estimator, a cause or a sensor.
+    """Origin of an estimator, a cause or a sensor."""
 
-    Attributes:
-      name: in words: a package with its version, or a file.
-      state: identifies its version, if results depend on it; empty for this package.
-    """
-
-    name: str
-    state: str = ""
+    name: str  # in words: a package with its version, or a file
+    state: str = ""  # identifies its version, if results depend on it; empty for this package
 
 
-OWN = Origin(_PACKAGE)
-"""Origin of this package's own."""
+OWN = Origin(_PACKAGE)  # origin of this package's own
 
 
 @dataclass(frozen=True)
@@ -64,11 +58,8 @@ class Offer:
 
 @cache
 def made(offer: Offer, base: type[T], check: Callable[[T], None]) -> T:
-    """Return an offered object of a subclass of `base`, or one made of the class, if it passes a check.
-
-    Raises:
-      InputError: its fault, with its name and origin.
-    """
+    """Return an offered object of a subclass of `base`, or one made of the class, if it passes a check. Raises
+    `InputError`: its fault, with its name and origin."""
     given = offer.get()
     try:
         found = given() if isinstance(given, type) and issubclass(given, base) else given
@@ -87,24 +78,13 @@ def made(offer: Offer, base: type[T], check: Callable[[T], None]) -> T:
     return found
 
 
-_files: dict[Path, tuple[ModuleType, str]] = {}
-"""Imported plugin files: their modules, and a digest of their text."""
-_packages: set[Path] = set()
-"""Files and folders of packages from which something was loaded."""
+_files: dict[Path, tuple[ModuleType, str]] = {}  # imported plugin files: their modules, and a digest of their text
+_packages: set[Path] = set()  # files and folders of packages from which something was loaded
 
 
 def load(path: str | Path) -> tuple[str, ...]:
-    """Import a plugin file; its estimators, causes and sensors are then known in this process.
-
-    Args:
-      path: of the file; once is enough.
-
-    Returns:
-      Names of its estimators, causes and sensors.
-
-    Raises:
-      InputError: no such file, one that cannot be imported, or one without any.
-    """
+    """Import a plugin file; its estimators, causes and sensors are then known in this process. Return their names.
+    Raises `InputError`: no such file, one that cannot be imported, or one without any."""
     file = Path(path).expanduser().resolve()
     if file not in _files:
         _files[file] = _imported(file, str(path))
@@ -141,11 +121,8 @@ def known(paths: Iterable[str | Path]) -> Iterator[tuple[str, ...]]:
 
 
 def offers(kind: Kind, own: Iterable[str]) -> dict[str, Offer]:
-    """Return the offers of plugins by name. One of `own` wins over an installed package's of the same name.
-
-    Raises:
-      InputError: a plugin file's name that exists already.
-    """
+    """Return the offers of plugins by name. One of `own` wins over an installed package's of the same name. Raises
+    `InputError`: a plugin file's name that exists already."""
     return _offers(kind, frozenset(own))
 
 
@@ -179,7 +156,7 @@ def blamed(error: BaseException) -> InputError | None:
 
 
 def _reason(error: BaseException) -> str:
-    return f"{type(error).__name__}: {one_line(' '.join(str(error).split())) or 'no message'}"
+    return f"{type(error).__name__}: {one_line(whole(error)) or 'no message'}"
 
 
 def _imported(file: Path, given: str) -> tuple[ModuleType, str]:

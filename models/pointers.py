@@ -26,14 +26,10 @@ def _pointer(kind: Any) -> Any:
     return pointer
 
 
-floats_at = _pointer(types.float64)
-"""Pointer to float64 at an integer address."""
-ints_at = _pointer(types.int32)
-"""Pointer to int32 at an integer address."""
-words_at = _pointer(types.int64)
-"""Pointer to int64 (sizes, addresses) at an integer address."""
-bytes_at = _pointer(types.uint8)
-"""Pointer to bytes at an integer address."""
+floats_at = _pointer(types.float64)  # pointer to float64 at an integer address
+ints_at = _pointer(types.int32)  # pointer to int32 at an integer address
+words_at = _pointer(types.int64)  # pointer to int64 (sizes, addresses) at an integer address
+bytes_at = _pointer(types.uint8)  # pointer to bytes at an integer address
 
 
 def pointer_to(dtype: np.dtype) -> Any:
@@ -41,8 +37,7 @@ def pointer_to(dtype: np.dtype) -> Any:
     return _pointer(from_dtype(dtype))
 
 
-record_at = pointer_to(PARAMETERS)
-"""Pointer to a parameter record at an integer address."""
+record_at = pointer_to(PARAMETERS)  # pointer to a parameter record at an integer address
 
 
 @intrinsic

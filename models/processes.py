@@ -15,6 +15,12 @@ from . import plugins
 _watching: list[threading.Thread] = []
 
 
+def single_threaded() -> None:
+    """Let linear algebra use one thread, here and in processes of this one, as other work is side by side."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
 def begin(known: Sequence[Path]) -> None:
     """Begin as a worker: load the plugin files, ignore Ctrl-C, and end when the parent process has ended."""
     for path in known:

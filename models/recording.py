@@ -38,12 +38,9 @@ from .text_tables import TextTable
 if TYPE_CHECKING:
     import pyarrow as pa
 
-GAP = 0.1 + 1e-6
-"""Least time [s] between samples of a gap: more than 0.1 s, however stamps are rounded."""
-SEVERAL = 5.0
-"""Least gap, in intervals of a log."""
-LARGEST = 1e30
-"""Largest reading of any sensor in any unit; its powers are still finite."""
+GAP = 0.1 + 1e-6  # least time [s] between samples of a gap: more than 0.1 s, however stamps are rounded
+SEVERAL = 5.0  # least gap, in intervals of a log
+LARGEST = 1e30  # largest reading of any sensor in any unit; its powers are still finite
 SUFFIXES = (".parquet", ".csv")
 
 External = Literal["none", "measured", "unmeasured"]
@@ -296,9 +293,7 @@ def read_measurement(path: str | Path) -> Measurement:
     one.
 
     Of two tables of a stem the Parquet file is read, unless the other is named. Unread tables are in `passed_over`.
-
-    Raises:
-      InputError: not found, a wrong recording, or recordings of different joints.
+    Raises `InputError`: not found, a wrong recording, or recordings of different joints.
     """
     path = Path(path)
     if not path.exists():
@@ -340,11 +335,8 @@ def _read_instead(table: Path) -> str:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording from its table (or its YAML file).
-
-    Raises:
-      InputError: one line with file, column and row of the error. Rows are counted from 0, without the header.
-    """
+    """Read a recording from its table (or its YAML file). Raises `InputError`: one line with file, column and row of
+    the error. Rows are counted from 0, without the header."""
     path = Path(path)
     if path.suffix in (".yaml", ".yml"):
         found = [path.with_suffix(s) for s in SUFFIXES if path.with_suffix(s).is_file()]
@@ -420,14 +412,7 @@ def in_arm(
 
 def with_load(recording: Recording, gear_ratio: float) -> Recording:
     """Return a recording with mounting and load from its arm, or with the load of its payloads, at its angle; unchanged
-    without both.
-
-    Args:
-      gear_ratio: of its joint.
-
-    Raises:
-      InputError: as of `in_arm`.
-    """
+    without both. Raises `InputError`: as of `in_arm`."""
     from .arm_dynamics import Arm
 
     if recording.arm is None and not recording.payloads:
@@ -451,11 +436,9 @@ def _own_angle(recording: Recording, gear_ratio: Callable[[], float]) -> np.ndar
 def write_recording(recording: Recording, folder: str | Path) -> Path:
     """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path.
 
-    An arm is written as an MJCF of masses and joints. Files of these names are replaced one after the other;
-    together, and only the same maker's, inside an `output.output_folder`.
-
-    Raises:
-      InputError: an invalid file name, or a folder that cannot be written to.
+    An arm is written as an MJCF of masses and joints. Files of these names are replaced one after the other; together,
+    and only the same maker's, inside an `output.output_folder`. Raises `InputError`: an invalid file name, or a folder
+    that cannot be written to.
     """
     folder, arm = Path(folder), recording.arm
     check_name(recording.name, "recording: name")
@@ -499,8 +482,7 @@ def ordered(recording: Recording) -> dict[str, np.ndarray]:
     return ordered
 
 
-_WRITTEN = "flexspline.yaml"
-"""Metadata of a recording's table: digest of its YAML file, to detect an edited one."""
+_WRITTEN = "flexspline.yaml"  # metadata of a recording's table: digest of its YAML file, to detect an edited one
 
 
 def _digest(text: str) -> str:

@@ -10,13 +10,8 @@ from typing import Any
 
 
 def documented(schema: dict[str, Any], model: type) -> None:
-    """Complete a model's JSON Schema: descriptions from the docstrings below fields, and a short form of the model
-    (`model.short`, a JSON type).
-
-    Args:
-      schema: of the model alone, changed in place (`json_schema_extra` of pydantic).
-      model: its class.
-    """
+    """Complete the JSON Schema of a model alone in place (`json_schema_extra` of pydantic): descriptions from the
+    docstrings below fields, and a short form of the model (`model.short`, a JSON type)."""
     texts = {name: text for one in reversed(model.__mro__) for name, text in _docstrings(one).items()}
     for name, field in schema.get("properties", {}).items():
         field.pop("title", None)

@@ -17,21 +17,13 @@ from .errors import InputError, nearest
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel.
+    """A channel."""
 
-    Attributes:
-      name: of its column.
-      unit: SI; positions of the motor on the motor side, of the link on the output side.
-      description: in words.
-      sensor: field of `joint_parts.Sensors` with its noise; empty without a sensor (time, commands).
-      at_step: whether its value depends on forces that are known only after the plant's step.
-    """
-
-    name: str
-    unit: str
-    description: str
-    sensor: str = ""
-    at_step: bool = False
+    name: str  # of its column
+    unit: str  # SI; positions of the motor on the motor side, of the link on the output side
+    description: str  # in words
+    sensor: str = ""  # field of `joint_parts.Sensors` with its noise; empty without a sensor (time, commands)
+    at_step: bool = False  # whether its value depends on forces that are known only after the plant's step
 
 
 _AXES = "xyz"
@@ -48,13 +40,10 @@ _ALL = (
     Channel("position_command", "rad", "commanded link position"),
     Channel("external_torque", "N·m", "torque on the link that was known"),
 )
-CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _ALL}
-"""All channels by name."""
+CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _ALL}  # all channels by name
 
-SENSED: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor)
-"""Channels of sensors, in the order of `READINGS`."""
-POSITIONS: tuple[str, ...] = ("motor_position", "link_position")
-"""A recording has at least one of these."""
+SENSED: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor)  # channels of sensors, in the order of `READINGS`
+POSITIONS: tuple[str, ...] = ("motor_position", "link_position")  # a recording has at least one of these
 DRIVING: tuple[str, ...] = ("motor_current", "motor_torque", "joint_torque")
 """A recording has at least one of these, for the size of the torques."""
 WRENCH: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor == "wrench")
@@ -66,17 +55,11 @@ READINGS = np.dtype([(name, np.float64) for name in SENSED])
 
 @dataclass(frozen=True)
 class Signals(Mapping[str, np.ndarray]):
-    """Time and channels by name, shape (n,) each, float64, SI.
+    """Time and channels by name, shape (n,) each, float64, SI. Raises `InputError`: shapes that differ, values that are
+    not finite, time that does not increase."""
 
-    Attributes:
-      time: [s], increasing; not necessarily even, nor from zero.
-      columns: channels by name (`CHANNELS`, or a further name such as `current_command`).
-
-    Raises:
-      InputError: shapes that differ, values that are not finite, time that does not increase.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # [s], increasing; not necessarily even, nor from zero
+    # channels by name (`CHANNELS`, or a further name such as `current_command`)
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

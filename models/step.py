@@ -19,7 +19,7 @@ import numpy as np
 from numba import types
 from numba.np.numpy_support import from_dtype
 
-from .errors import InputError
+from .errors import InputError, whole
 from .kernels import c_function
 from .parameters import PARAMETERS
 from .signals import READINGS
@@ -55,11 +55,7 @@ class Step:
 
     @property
     def address(self) -> int:
-        """Address of the compiled C function.
-
-        Raises:
-          InputError: a function that Numba cannot compile.
-        """
+        """Address of the compiled C function. Raises `InputError`: a function that Numba cannot compile."""
         with _compiling:
             if self._compiled is None:
                 try:
@@ -68,7 +64,7 @@ class Step:
                     code = self.function.__code__
                     raise InputError(
                         f"{code.co_filename}, line {code.co_firstlineno}: {code.co_name}: expected a step that can be compiled, "
-                        f"got {type(error).__name__}: {' '.join(str(error).split())}"
+                        f"got {type(error).__name__}: {whole(error)}"
                     ) from error
         return int(self._compiled.address)
 
@@ -135,25 +131,16 @@ def numpy_at(address: int, dtype: np.dtype | type, count: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CompiledStep:
-    """A step with its data, ready for the loop.
+    """A step with its data, ready for the loop."""
 
-    Attributes:
-      address: of the C function.
-      memory: number of float64 of its memory.
-      record: shape (1,), the known joint (`parameters.PARAMETERS`).
-      settings: float64, its tuning parameters, in its own order.
-      outputs: length of `out`.
-      reads_command: whether its samples contain a known current command; else NaN.
-      owner: kept alive while the address is used.
-    """
-
-    address: int
-    memory: int
-    record: np.ndarray
+    address: int  # of the C function
+    memory: int  # number of float64 of its memory
+    record: np.ndarray  # shape (1,), the known joint (`parameters.PARAMETERS`)
+    # float64, its tuning parameters, in its own order
     settings: np.ndarray = field(default_factory=lambda: np.zeros(1))
-    outputs: int = 1
-    reads_command: bool = False
-    owner: Any = None
+    outputs: int = 1  # length of `out`
+    reads_command: bool = False  # whether its samples contain a known current command; else NaN
+    owner: Any = None  # kept alive while the address is used
 
     def arrays(self) -> Arrays:
         """Return address, new memory, record, settings and `out`, for compiled code."""

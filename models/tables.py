@@ -16,8 +16,7 @@ from .errors import InputError, first_line
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ROWS = 1 << 20
-"""Rows of a Parquet group."""
+ROWS = 1 << 20  # rows of a Parquet group
 Notes = Mapping[str, Mapping[str, str]]
 
 
@@ -42,13 +41,8 @@ class TableWriter:
         notes: Notes | None = None,
         metadata: Mapping[str, str] | None = None,
     ):
-        """Start the file.
-
-        Args:
-          path: of the file.
-          units: of every column, in order.
-          notes: other metadata of a column, by column. metadata: of the table.
-        """
+        """Start the file. `units`: of every column, in order; `notes`: other metadata of a column; `metadata`: of the
+        table."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -103,11 +97,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading_parquet(path: Path) -> Iterator[None]:
-    """Turn errors of a Parquet file into one line.
-
-    Raises:
-      InputError: it cannot be read.
-    """
+    """Turn errors of a Parquet file into one line. Raises `InputError`: it cannot be read."""
     import pyarrow as pa
 
     try:
@@ -119,11 +109,8 @@ def reading_parquet(path: Path) -> Iterator[None]:
 
 
 def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, str]]]:
-    """Return the columns of a Parquet file, shape (n,) each, and their metadata (`unit`, notes).
-
-    Raises:
-      InputError: not a Parquet file.
-    """
+    """Return the columns of a Parquet file, shape (n,) each, and their metadata (`unit`, notes). Raises `InputError`:
+    not a Parquet file."""
     import pyarrow.parquet as pq
 
     with reading_parquet(path):

@@ -100,16 +100,9 @@ def _as_text(cell: object) -> str:
 
 
 def numbers(cells: Sequence[object] | np.ndarray, decimal: str = ".", like: np.dtype | None = None) -> np.ndarray:
-    """Return cells of text, or of numbers and dates, as numbers.
-
-    Args:
-      cells: of one column, shape (n,).
-      decimal: mark of its numbers.
-      like: type of earlier cells; None: detected.
-
-    Returns:
-      float64, datetime64[ns] of dates, or timedelta64[ns] of clock times, shape (n,); NaN or NaT for other cells.
-    """
+    """Return cells of a column, text or numbers and dates, as float64, datetime64[ns] of dates, or timedelta64[ns] of
+    clock times, shape (n,); NaN or NaT for other cells. `decimal`: mark of its numbers; `like`: type of earlier cells,
+    by default detected."""
     kind = "" if like is None else {"f": "number", "M": "date", "m": "clock"}.get(like.kind, "")
     if not kind:
         some = [c for c in cells[:_LOOKED_AT] if c is not None]
@@ -178,13 +171,9 @@ class Head:
 
 
 def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool = False) -> Head:
-    """Find header and first row among the first rows of a table.
-
-    Args:
-      rows: of cells; a comment is a row whose first cell begins with its mark, an empty one has no cell.
-      wanted: names to look for: of several possible headers the one with most of them is chosen.
-      headless: whether columns are named by number.
-    """
+    """Find header and first row among the first rows of a table; a comment is a row whose first cell begins with its
+    mark, an empty one has no cell. Of several possible headers the one with most `wanted` names is chosen; `headless`:
+    columns are named by number."""
     wanted = set(wanted)
     plain = [row for row in rows if row and not row[0].startswith(COMMENTS)]
     late = plain[len(plain) // 2 :] if len(plain) > 1 else []
@@ -281,17 +270,8 @@ class TextTable:
     """A table as text."""
 
     def __init__(self, path: Path, raw: bytes, wanted: Iterable[str] = (), form: TextForm | None = None):
-        """Read the first lines.
-
-        Args:
-          path: of the file, for messages.
-          raw: its bytes.
-          wanted: names to look for in the header.
-          form: its stated format.
-
-        Raises:
-          InputError: not text, or an empty file.
-        """
+        """Read the first lines of a file's bytes. `path`: for messages; `wanted`: names to look for in the header;
+        `form`: its stated format. Raises `InputError`: not text, or an empty file."""
         self.path = path
         form = form or TextForm()
         text = decoded(raw)

@@ -17,8 +17,7 @@ from .calibration import Calibration, slots, standard
 from .joint import Joint
 from .joint_parts import Mounting
 
-Change = Mapping[str, float]
-"""Changes of quantities, by the names of `joint_parts.Uncertainty`, in their units."""
+Change = Mapping[str, float]  # changes of quantities, by the names of `joint_parts.Uncertainty`, in their units
 
 
 def directions(joint: Joint, mounting: Mounting | None = None) -> list[np.ndarray]:
@@ -28,14 +27,8 @@ def directions(joint: Joint, mounting: Mounting | None = None) -> list[np.ndarra
 
 
 def principal(changes: Sequence[Change], responses: np.ndarray, left: float, most: int) -> list[Change]:
-    """Return the few independent changes with the largest effect: combinations of `changes` by the singular vectors
-    of the responses.
-
-    Args:
-      changes: independent, m of them.
-      responses: to each, shape (n, m).
-      left: share of the responses' energy that may be left out. most: changes at most.
-    """
+    """Return the few independent changes with the largest effect: combinations of `changes` by the singular vectors of
+    the responses to each, shape (n, m). `left`: share of the responses' energy that may be left out; at most `most`."""
     if not len(changes):
         return []
     energy, vectors = np.linalg.eigh(responses.T @ responses)

@@ -14,6 +14,7 @@ import numpy as np
 from ..estimator.errors import FilterDiverged
 from ..estimator.estimator import Estimator, KnownJoint, Posterior, each
 from ..models import own_sensors
+from ..models.arm import pickups
 from ..models.errors import InputError, InputWarning
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
@@ -33,46 +34,30 @@ _SEEN = tuple(name for name in SENSED if not CHANNELS[name].at_step)
 
 @dataclass(frozen=True)
 class Experiment:
-    """A prepared scenario: everything that does not depend on seed or estimators.
+    """A prepared scenario: everything that does not depend on seed or estimators."""
 
-    Attributes:
-      scenario: to run.
-      joint, known_joint: the plant's joint, and the one that the estimators know.
-      mounting: payload of the plant.
-      record: parameters of the plant, shape (1,).
-      known: parameters that the estimators know.
-      command, rate: of the drive, in the unit of the scenario's mode, and derivative, shape (n,).
-      external_torque, temperature: torque on the link [N·m], temperature [°C], shape (n,). tip_force: tangential force [N] of the
-        external torque, shape (n,).
-      fed_back: the estimator whose torque is fed back, if any.
-    """
-
-    scenario: Scenario
+    scenario: Scenario  # to run
+    # joint, known_joint: the plant's joint, and the one that the estimators know
     joint: Joint
     known_joint: Joint
-    mounting: Mounting
-    record: np.ndarray
-    known: KnownJoint
+    mounting: Mounting  # payload of the plant
+    record: np.ndarray  # parameters of the plant, shape (1,)
+    known: KnownJoint  # parameters that the estimators know
+    # command, rate: of the drive, in the unit of the scenario's mode, and derivative, shape (n,)
     command: np.ndarray
     rate: np.ndarray
+    # external_torque, temperature: torque on the link [N·m], temperature [°C], shape (n,)
     external_torque: np.ndarray
     temperature: np.ndarray
-    tip_force: np.ndarray
-    fed_back: Estimator | None
+    tip_force: np.ndarray  # tangential force [N] of the external torque, shape (n,)
+    fed_back: Estimator | None  # the estimator whose torque is fed back, if any
 
     @classmethod
     def of(cls, scenario: Scenario, folder: Path | None = None, load: float | None = None) -> Experiment:
-        """Load the joint and compute the commands.
-
-        Args:
-          scenario: to run.
-          folder: of the scenario's file, to which the joint's path is relative.
-          load: gravity moment [N·m] of the payload at horizontal, known to the estimators, instead of the mounting's; the inertia
-            changes in proportion.
-
-        Raises:
-          InputError: an unknown joint or mounting, or a mounting without a gravity moment to change.
-        """
+        """Load the joint and compute the commands. `folder`: of the scenario's file, to which the joint's path is
+        relative; `load`: gravity moment [N·m] of the payload at horizontal, known to the estimators, instead of the
+        mounting's; the inertia changes in proportion. Raises `InputError`: an unknown joint or mounting, or a mounting
+        without a gravity moment to change."""
         joint, known_joint = scenario.load_joint(folder)
         scenario = scenario.with_gains(joint)
         mounting, known_mounting = (scenario.mount(j) for j in (joint, known_joint))
@@ -98,11 +83,8 @@ class Experiment:
     def simulate(
         self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
     ) -> Simulation:
-        """Run the closed loop; parallel runs do not change a bit of the result.
-
-        Args:
-          seed: of the sensors' noise; the scenario's by default.
-          record, model: of another plant, both or none (`build`).
+        """Run the closed loop; parallel runs do not change a bit of the result. `seed`: of the sensors' noise, the
+        scenario's by default; `record`, `model`: of another plant, both or none (`build`).
 
         Raises:
           InputError: torques with which the motion is no longer finite.
@@ -123,19 +105,14 @@ class Experiment:
 
     def _changes(self, record: np.ndarray) -> Iterator[Change]:
         """The plant at each tick at which its link picks up or puts down a payload."""
-        payloads, time = self.scenario.payloads, self.scenario.time
-        carried = np.array([one.carried(time) for one in payloads]).reshape(len(payloads), len(time))
-        for tick in np.flatnonzero(np.any(np.diff(carried, axis=1, prepend=False), axis=0)):
-            now = [one for one, on in zip(payloads, carried[:, tick], strict=True) if on]
-            yield Change(int(tick), self.build(record, now), carrying(record, now))
+        payloads = self.scenario.payloads
+        for tick, carried in pickups(payloads, self.scenario.time):
+            now = [one for one, on in zip(payloads, carried, strict=True) if on]
+            yield Change(tick, self.build(record, now), carrying(record, now))
 
     def driven(self, seed: int | None = None, record: np.ndarray | None = None, prefix: str = "") -> Driven:
-        """Return drive, sensors and disturbances of the joint for a closed loop.
-
-        Args:
-          seed, record: as of `simulate`.
-          prefix: of the joint's names in a model of several joints.
-        """
+        """Return drive, sensors and disturbances of the joint for a closed loop; `prefix`: of its names in a model of
+        several joints."""
         scenario, record = self.scenario, self.record if record is None else record
         p, seed = record[0], scenario.seed if seed is None else seed
         feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
@@ -167,12 +144,7 @@ class Experiment:
         return float(self.command[0]) if self.scenario.mode == "position" else self.scenario.start or 0.0
 
     def check(self, loop: ClosedLoop, begin: int = 0, place: int = 0) -> None:
-        """Check the simulated ticks from `begin` on; `place`: index of the joint in the loop.
-
-        Raises:
-          InputError: torques with which the motion is no longer finite.
-          FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
-        """
+        """Check the simulated ticks from `begin` on; `place`: index of the joint in the loop. Raises as `simulate`."""
         simulation = loop.simulations[place]
         tick = simulation.failed[0]
         overloaded = _overload(simulation, begin, loop.done)
@@ -185,10 +157,7 @@ class Experiment:
             if self.fed_back is not None and tick > 0:  # this raises with the reason
                 self.fed_back.estimate(signals_of(simulation).part(slice(0, tick + 1)), self.known)
             raise FilterDiverged(
-                self.scenario.feedback,
-                tick,
-                float(simulation.time[tick]),
-                "the estimate is no longer a finite number",
+                self.scenario.feedback, tick, float(simulation.time[tick]), "the estimate is no longer a finite number"
             )
 
     def completed(self, simulation: Simulation, seed: int | None = None) -> Simulation:
@@ -241,16 +210,13 @@ def readable(simulation: Simulation) -> dict[str, np.ndarray]:
 def estimate(
     estimators: Mapping[str, Estimator], signals: Signals, known: KnownJoint, threads: int = 1
 ) -> dict[str, Posterior]:
-    """Run estimators over signals; the number of threads does not change a bit of the result.
+    """Run estimators, by name, over signals; the number of threads does not change a bit of the result.
 
     An estimator that diverges has no estimate at any sample (NaN), and a warning gives the reason.
 
-    Args:
-      estimators: by name. signals: channels. known: parameters of the joint.
-      threads: estimators at a time.
-
     Raises:
-      InputError: a missing channel. FilterDiverged: no estimator has a finite estimate; names the first filter and its time.
+      InputError: a missing channel.
+      FilterDiverged: no estimator has a finite estimate; names the first filter and its time.
     """
 
     found = each(estimators, lambda one: one.estimate(signals, known), threads)

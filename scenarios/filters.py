@@ -40,13 +40,7 @@ def _as_people_write(schema: dict[str, Any], model: type) -> None:
 
 
 class FilterEntry(BaseModel):
-    """An estimator with a name; parameters that are not given keep their defaults.
-
-    Attributes:
-      name: in results.
-      estimator: its name in the registry.
-      parameters: values of its fields, by dotted name (`process.push`).
-    """
+    """An estimator with a name; parameters that are not given keep their defaults."""
 
     short: ClassVar[str] = "string"
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_as_people_write)
@@ -97,11 +91,7 @@ class FilterEntry(BaseModel):
         return {"name": self.name, "estimator": self.estimator, **self.parameters}
 
     def build(self) -> Estimator:
-        """Build the estimator.
-
-        Raises:
-          InputError: a value out of range; names estimator and field.
-        """
+        """Build the estimator. Raises `InputError`: a value out of range; names estimator and field."""
         return with_values(registry.get(self.estimator), {"name": self.name, **self.parameters})
 
     def varied(self, parameter: str, value: Parameter) -> FilterEntry:
@@ -116,11 +106,8 @@ def paper_entries() -> list[FilterEntry]:
 
 
 def estimators(names: list[str] | tuple[str, ...] = ()) -> dict[str, Estimator]:
-    """Return the named estimators of the registry, in order; all of them without names.
-
-    Raises:
-      InputError: an unknown name.
-    """
+    """Return the named estimators of the registry, in order; all of them without names. Raises `InputError`: an unknown
+    name."""
     return {name: registry.get(name) for name in names or registry.names()}
 
 

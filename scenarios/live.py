@@ -17,19 +17,11 @@ from .scenario import Scenario
 
 
 class LiveRun:
-    """A scenario while it runs.
-
-    Attributes:
-      scenario: to run.
-      names: of the filters that run in stretches; filters that look ahead or read a plugin's sensor run at the end.
-    """
+    """A scenario while it runs. Filters of `names` run in stretches; those that look ahead or read a plugin's sensor
+    run at the end."""
 
     def __init__(self, scenario: Scenario, folder: Path | None = None):
-        """Prepare; arguments and errors as of `run_scenario`.
-
-        Raises:
-          InputError: no filter that can run in stretches.
-        """
+        """Prepare; arguments and errors as of `run_scenario`. Raises `InputError`: no filter that can run in stretches."""
         if scenario.payloads and scenario.known_payloads:
             raise InputError(
                 f"scenario {scenario.name}: known_payloads: expected false while it runs, as estimators need the whole "
@@ -73,14 +65,8 @@ class LiveRun:
         return self._loop.done * CONTROL_PERIOD
 
     def advance(self, seconds: float) -> Run:
-        """Simulate the next stretch of about so many seconds, at least two ticks.
-
-        Returns:
-          The stretch as a run that begins later.
-
-        Raises:
-          InputError, FilterDiverged: as `run_scenario`.
-        """
+        """Simulate the next stretch of about so many seconds, at least two ticks; return it as a run that begins later.
+        Raises `InputError`, `FilterDiverged`: as `run_scenario`."""
         begin, left = self._loop.done, len(self._whole.time) - self._loop.done
         ticks = max(round(seconds / CONTROL_PERIOD), 2)
         part = self._loop.advance(ticks if left - ticks > 1 else left)  # a single tick has no period
@@ -98,11 +84,8 @@ class LiveRun:
         )
 
     def finish(self, threads: int = 1) -> Run:
-        """Return the whole run after the last stretch, with the remaining filters.
-
-        Raises:
-          InputError, FilterDiverged: as `run_scenario`.
-        """
+        """Return the whole run after the last stretch, with the remaining filters. Raises `InputError` or
+        `FilterDiverged`: as `run_scenario`."""
         simulation = self._experiment.completed(self._loop.simulation)
         others = {name: one for name, one in self._filters.items() if name not in self._along}
         found = estimate(others, signals_of(simulation), self._experiment.known, threads)

@@ -28,10 +28,7 @@ class AddedMotion(Strict):
     duration: Annotated[float | None, Field(gt=0, description="s; of a file: to its last time")] = None
     amplitude: Annotated[
         float,
-        Field(
-            gt=0,
-            description="peak of a sine or chirp, RMS times √2 of a multisine, factor of a file's commands",
-        ),
+        Field(gt=0, description="peak of a sine or chirp, RMS times √2 of a multisine, factor of a file's commands"),
     ] = 1.0
     frequency: Annotated[float | None, Field(gt=0, description="Hz; of chirp and multisine the lowest")] = None
     end_frequency: Annotated[float | None, Field(gt=0, description="Hz, the highest")] = None

@@ -35,23 +35,17 @@ _RECORDED = ("motor_position", "link_position", "motor_current", "joint_torque")
 _WHERE_STATED = ("motor_torque", "temperature")
 
 
-_SATURATED = 0.005
-"""Share of the time at the current limit above which a note says so; in shipped scenarios it is 0."""
+_SATURATED = 0.005  # share of the time at the current limit above which a note says so; in shipped scenarios it is 0
 _FAST, _TURNS = 0.1, 20
 """An unstable torque loop changes between opposite current limits within this time [s], at least so many times."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """The place of a joint in an arm that moved; n control ticks.
+    """The place of a joint in an arm that moved; n control ticks."""
 
-    Attributes:
-      arm: as in a recording.
-      external_torque: torques on the joint's own link and all links beyond it, shape (n,) [N·m].
-    """
-
-    arm: ArmRecord
-    external_torque: np.ndarray
+    arm: ArmRecord  # as in a recording
+    external_torque: np.ndarray  # torques on the joint's own link and all links beyond it, shape (n,) [N·m]
 
 
 @dataclass(frozen=True, repr=False)
@@ -334,12 +328,8 @@ def reference_of(
 
 
 def run_scenario(scenario: Scenario, folder: Path | None = None, threads: int = 1) -> Run:
-    """Run a scenario: the closed loop, then every filter over its signals.
-
-    Args:
-      scenario: what to run.
-      folder: of the scenario's file, to which the joint's path is relative.
-      threads: filters at a time; the result does not depend on it.
+    """Run a scenario: the closed loop, then every filter over its signals. `folder`: of the scenario's file, to which
+    the joint's path is relative; `threads`: filters at a time, the result does not depend on it.
 
     Raises:
       InputError: an unknown joint or mounting; torques with which the motion is no longer finite; a filter without its sensor.
@@ -362,11 +352,8 @@ def run_of(
 
 
 def simulate_scenario(scenario: Scenario, folder: Path | None, seed: int) -> Run:
-    """Run a scenario with a seed and without its filters.
-
-    Raises:
-      InputError: an estimate is fed back: the signals would depend on the filter.
-    """
+    """Run a scenario with a seed and without its filters. Raises `InputError`: an estimate is fed back: the signals
+    would depend on the filter."""
     if scenario.feedback not in ("none", "sensor"):
         raise InputError(
             f"scenario {scenario.name}: feedback: expected none or sensor, got {scenario.feedback!r}: the signals would "

@@ -26,8 +26,7 @@ from .experiment import with_known_payloads
 from .run import Run
 from .scenario import Scenario
 
-View = Callable[[Run, Path], object]
-"""Adds files to a run's folder: a function of run and folder."""
+View = Callable[[Run, Path], object]  # adds files to a run's folder: a function of run and folder
 _UNITS = {
     "position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "current": "A", "torque": "N·m", "force": "N",
     "torque_rate": "N·m/s", "bristle": "rad", "dahl": "rad", "hysteresis": "rad", "torsion": "rad", "measurement": "N·m",
@@ -39,19 +38,12 @@ _NEEDED = ("scenario.yaml", "signals.parquet", "estimates.parquet", "joint.yaml"
 
 
 def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | None = None) -> Path:
-    """Write a run folder, as a whole or not at all.
+    """Write a run folder, as a whole or not at all; `views`: functions that add files; `within`: folder that must
+    contain it.
 
     It has `<name>.parquet` with its YAML (a measurement), `signals.parquet`, `estimates.parquet`, `metrics.json`,
-    `scenario.yaml` (resolved), `joint.yaml`, `known_joint.yaml`, `run.json` (versions, seed).
-
-    Args:
-      run: to write.
-      out: the folder.
-      views: functions that add files.
-      within: folder that must contain `out`.
-
-    Raises:
-      InputError: it cannot be written, or has files of something else.
+    `scenario.yaml` (resolved), `joint.yaml`, `known_joint.yaml`, `run.json` (versions, seed). Raises `InputError`: it
+    cannot be written, or has files of something else.
     """
     with output_folder(out, _MAKER, whole=True, within=within) as folder:
         write_recording(run.as_recording(), folder)
@@ -76,14 +68,8 @@ def _describe(run: Run, folder: Path) -> None:
 
 
 def check_run_folder(scenario: Scenario, source: Path, out: Path, within: Path) -> None:
-    """Check before a run that its folder can be written.
-
-    Args:
-      scenario: to run; source: its file; out: the folder; within: folder that must contain `out`.
-
-    Raises:
-      InputError: it cannot be written, or has files of something else or files that are read.
-    """
+    """Check before a run that its folder can be written. Raises `InputError`: it cannot, or has files of something else
+    or files that are read."""
     joints = scenario.load_joint(source.parent)
     read = [source, *(path for joint in joints for path in (joint.path, joint.mjcf))]
     check_output(out, _MAKER, inputs=read, whole=True, within=within)

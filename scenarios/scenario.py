@@ -30,8 +30,7 @@ from .motion import AddedMotion
 
 _LONGEST = 3600.0  # s: four filters over it take 4 GB
 _DEEPEST = 20  # dots of a key; the longest useful key has five
-LAGGING = Controller().lagging(2e-3)
-"""Default controller with `sensors: realistic`."""
+LAGGING = Controller().lagging(2e-3)  # default controller with `sensors: realistic`
 
 
 class Waypoint(Strict):
@@ -75,10 +74,7 @@ class Disturbance(Strict):
         float,
         Field(description="largest value, N·m; positive pushes forward. Of a walk: standard deviation at its end"),
     ]
-    lever: Annotated[
-        float,
-        Field(ge=0, description="distance of the force from the axis, m; 0: a pure torque"),
-    ] = 0.4
+    lever: Annotated[float, Field(ge=0, description="distance of the force from the axis, m; 0: a pure torque")] = 0.4
     cycles: Annotated[float, Field(gt=0, description="periods of a sine within the duration")] = 1.0
 
     def acts(self, time: np.ndarray) -> np.ndarray:
@@ -446,20 +442,10 @@ def shipped_arms() -> dict[str, Path]:
 def load_scenario(
     source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[Scenario, Path]:
-    """Load a scenario.
-
-    Args:
-      source: name of a shipped scenario, or path of a YAML file.
-      changes: `key=value` with dotted keys (`filters.2.k=0.1`, `controller.kp=6`).
-      seed: replaces the scenario's.
-
-    Returns:
-      The scenario and the folder of its file.
-
-    Raises:
-      InputError: no such scenario, or one that is wrong.
-    """
-    data, path = read_scenario(source, changes, seed, shipped_arms())
+    """Load a shipped scenario by its name, or a YAML file; return it with the folder of its file. `changes`:
+    `key=value` with dotted keys (`filters.2.k=0.1`, `controller.kp=6`); `seed`: replaces the scenario's. Raises
+    `InputError`: no such scenario, or one that is wrong."""
+    data, path = read_scenario(source, changes, seed)
     if "arm" in data:
         raise InputError(
             f"{path}: arm: expected the scenario of a joint, got that of an arm: `flexspline run` takes one"
@@ -468,11 +454,8 @@ def load_scenario(
 
 
 def parse_changed(data: dict[str, Any], model: type[M], path: Path, changes: list[str] | None) -> M:
-    """Check the data of a scenario's file with changes; an error of a change names the change.
-
-    Raises:
-      InputError: data that are wrong.
-    """
+    """Check the data of a scenario's file with changes; an error of a change names the change. Raises `InputError`:
+    data that are wrong."""
     try:
         return parse(data, model, str(path) if changes else path)
     except InputError as error:
@@ -490,13 +473,10 @@ def parse_changed(data: dict[str, Any], model: type[M], path: Path, changes: lis
 
 
 def read_scenario(
-    source: str | Path,
-    changes: list[str] | None = None,
-    seed: int | None = None,
-    further: Mapping[str, Path] | None = None,
+    source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[dict[str, Any], Path]:
-    """Return the data of a scenario's file with changes, unchecked, and its path; `further`: more names with paths."""
-    path = find(source, shipped_scenarios() | dict(further or {}), "scenario")
+    """Return the data of the file of a joint's or an arm's scenario with changes, unchecked, and its path."""
+    path = find(source, shipped_scenarios() | shipped_arms(), "scenario")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping of keys, got {kind_of(data)}")
@@ -514,11 +494,8 @@ def read_scenario(
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data that a scenario states, with other values of dotted keys; defaults may depend on these.
-
-    Raises:
-      InputError: an unknown key.
-    """
+    """Return the data that a scenario states, with other values of dotted keys; defaults may depend on these. Raises
+    `InputError`: an unknown key."""
     data = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
     put_all(data, changes, f"scenario {scenario.name}")
     return data

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..models.arm import ArmPayload
 from ..models.arm_model import put_payloads, weigh
-from ..models.errors import InputError
+from ..models.errors import refusing
 from ..models.joint import Joint
 from ..models.parameters import GRAVITY
 from . import native, plant
@@ -33,21 +33,13 @@ _MASSLESS = 1e-9  # kg: MuJoCo needs a mass
 
 @dataclass(frozen=True)
 class ArmJoint:
-    """A joint of an arm.
+    """A joint of an arm."""
 
-    Attributes:
-      name: in the arm.
-      joint: its description.
-      record: parameters with its load, shape (1,); on a user's arm, its load is that of the arm's bodies.
-      length: from its axis to the next joint's, along its link [m]; turn: not of a user's arm.
-      turn: of its axis about the link before it, against that one's axis [rad].
-    """
-
-    name: str
-    joint: Joint
-    record: np.ndarray
-    length: float = 0.0
-    turn: float = 0.0
+    name: str  # in the arm
+    joint: Joint  # its description
+    record: np.ndarray  # parameters with its load, shape (1,); on a user's arm, its load is that of the arm's bodies
+    length: float = 0.0  # from its axis to the next joint's, along its link [m]
+    turn: float = 0.0  # of its axis about the link before it, against that one's axis [rad]
 
     @property
     def prefix(self) -> str:
@@ -62,20 +54,9 @@ def build(
     payloads: Sequence[ArmPayload] = (),
     carried: Sequence[bool] = (),
 ) -> mujoco.MjModel:
-    """Build the MuJoCo model of joints in series.
-
-    Args:
-      joints: from the base to the tip, at least one.
-      timestep: step of the integrator [s].
-      ideal_current: as in `plant.build`.
-      payloads: on links, by their joint's name; carried: whether each is carried.
-
-    Returns:
-      The model. Coordinates and activations as of `plant.build`, joint by joint; names begin with `ArmJoint.prefix`.
-
-    Raises:
-      InputError: an invalid MJCF.
-    """
+    """Build the MuJoCo model of joints in series, from the base to the tip, otherwise as `plant.build`; names begin
+    with `ArmJoint.prefix`. `payloads`: on links, by their joint's name; `carried`: whether each is carried. Raises
+    `InputError`: an invalid MJCF."""
     arm = mujoco.MjSpec()
     at = arm.worldbody
     for i, one in enumerate(joints):
@@ -90,10 +71,8 @@ def build(
             for light in spec.lights:
                 spec.delete(light)
         place = [0.0, 0.0, -joints[i - 1].length] if i else [0.0, 0.0, 0.0]
-        try:
+        with refusing(f"{one.joint.mjcf}: cannot be part of an arm"):
             arm.attach(spec, prefix=one.prefix, frame=at.add_frame(pos=place, quat=_about_z(one.turn)))
-        except ValueError as error:
-            raise InputError(f"{one.joint.mjcf}: cannot be part of an arm: {' '.join(str(error).split())}") from error
         at = arm.body(one.prefix + "link")
     on_links = [one.model_copy(update={"body": f"{one.body}_link"}) for one in payloads]
     weigh(put_payloads(arm, on_links, ""), payloads, carried)
@@ -108,19 +87,11 @@ def on_hinges(
     payloads: Sequence[ArmPayload] = (),
     carried: Sequence[bool] = (),
 ) -> mujoco.MjModel:
-    """Build the MuJoCo model of joints on the hinges of an arm (`attach.attach`).
+    """Build the MuJoCo model of joints, by the names of their hinges, on those of an arm (`attach.attach`); `mjcf`: as
+    of `models.arm_model.reduced`; `carried`: whether each payload is carried. Raises `InputError`: as `attach.attach`.
 
     A wrench sensor is in each hinge: its y axis is opposite to the hinge's, as in a single joint, and its z axis points
     away from the link's centre of mass.
-
-    Args:
-      mjcf: masses and hinges, as of `models.arm_model.reduced`.
-      joints: by the names of their hinges.
-      timestep: step of the integrator [s].
-      payloads: on its bodies and sites; carried: whether each is carried.
-
-    Raises:
-      InputError: as of `attach.attach`.
     """
     spec = mujoco.MjSpec.from_string(mjcf)
     plant.set_options(spec, timestep)
@@ -150,11 +121,8 @@ def _sensing(hinge: mujoco.MjsJoint, centre: np.ndarray) -> np.ndarray:
 
 
 def rigid(joints: Sequence[ArmJoint]) -> str:
-    """Return the arm's links without drives, as the text of an MJCF, for a recording (`models.arm`).
-
-    Args:
-      joints: with their known records; a flexible part counts as rigid.
-    """
+    """Return the arm's links without drives, as the text of an MJCF, for a recording (`models.arm`); `joints`: with
+    their known records; a flexible part counts as rigid."""
     root = ElementTree.Element("mujoco", model="arm")
     ElementTree.SubElement(root, "compiler", angle="radian")
     ElementTree.SubElement(root, "option", gravity=f"0 0 {-GRAVITY!r}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..models import laws
 from ..models.dynamics import wave_generator_position
-from ..models.errors import InputError, InputWarning
+from ..models.errors import InputError, InputWarning, refusing
 from ..models.joint import Joint
 from . import native, plant, plugin
 
@@ -42,11 +42,8 @@ class _Hinge:
 
 
 def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
-    """Put a joint's laws on a hinge; see `flexspline.attach`.
-
-    Raises:
-      InputError: no such hinge, a model that does not compile, a timestep that is too long.
-    """
+    """Put a joint's laws on a hinge; see `flexspline.attach`. Raises `InputError`: no such hinge, a model that does not
+    compile, a timestep that is too long."""
     return attach_record(spec, joint_name, joint.record())
 
 
@@ -65,10 +62,8 @@ def attach_record(spec: mujoco.MjSpec, joint_name: str, record: np.ndarray) -> A
     hinge = _hinge(before, joint_name)
     p["Jl"], p["Mg"] = hinge.inertia, 0.0  # the model's own weight acts
     trial = spec.copy()
-    try:
+    with refusing(f"joint {joint_name!r}: a part cannot be added"):  # by a name that the model has
         attached = _change(trial, joint_name, record, hinge)
-    except ValueError as error:  # a name that the model has
-        raise InputError(f"joint {joint_name!r}: a part cannot be added: {' '.join(str(error).split())}") from error
     model = _compiled(trial, keys=False)
     rotor = model.joint(attached.rotor)
     if not np.isclose(model.dof_M0[rotor.dofadr[0]], p["Jm"], rtol=1e-3):
@@ -89,11 +84,8 @@ def _compiled(spec: mujoco.MjSpec, keys: bool = True) -> mujoco.MjModel:
     if not keys:
         for key in list(copy.keys):
             copy.delete(key)
-    try:
-        with native.quiet():
-            return copy.compile()
-    except ValueError as error:
-        raise InputError(f"the model does not compile: {' '.join(str(error).split())}") from error
+    with refusing("the model does not compile"), native.quiet():
+        return copy.compile()
 
 
 def _check_hinge(spec: mujoco.MjSpec, name: str) -> None:

@@ -28,8 +28,7 @@ from .drive import control
 from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, instance, put_record, state_of
 from .sensors import distort, low_pass, sample
 
-CONTROL_PERIOD = 0.001
-"""Period [s] of sensors, estimators and position controller."""
+CONTROL_PERIOD = 0.001  # period [s] of sensors, estimators and position controller
 
 TRUTH = np.dtype(
     [
@@ -66,104 +65,66 @@ coordinates, the motor."""
 
 @dataclass(frozen=True)
 class Simulation:
-    """Result of a closed-loop run; n control ticks.
+    """Result of a closed-loop run; n control ticks."""
 
-    Attributes:
-      time: shape (n,) [s].
-      truth: shape (n,), records of `TRUTH`, SI.
-      readings: shape (n,), records of `signals.READINGS`, SI.
-      command: shape (n,), current command [A].
-      failed: tick at which the estimator in the loop failed, and its status; (n, 0) if it did not.
-      stamps: shape (n,), time stamps of the readings [s]; `time` for an exact clock.
-      commanded: whether estimators may read the current command; otherwise they use the current sensor.
-      further: readings of sensors of plugins (`models.own_sensors`), shape (n,) each.
-      carried: torque of known payloads on the link, shape (n,) [N·m] (`models.arm.Load.on`); None without.
-    """
-
-    time: np.ndarray
-    truth: np.ndarray
-    readings: np.ndarray
-    command: np.ndarray
-    failed: tuple[int, int]
-    stamps: np.ndarray | None = None
-    commanded: bool = True
+    time: np.ndarray  # shape (n,) [s]
+    truth: np.ndarray  # shape (n,), records of `TRUTH`, SI
+    readings: np.ndarray  # shape (n,), records of `signals.READINGS`, SI
+    command: np.ndarray  # shape (n,), current command [A]
+    failed: tuple[int, int]  # tick at which the estimator in the loop failed, and its status; (n, 0) if it did not
+    stamps: np.ndarray | None = None  # shape (n,), time stamps of the readings [s]; `time` for an exact clock
+    commanded: bool = True  # whether estimators may read the current command; otherwise they use the current sensor
+    # readings of sensors of plugins (`models.own_sensors`), shape (n,) each
     further: Mapping[str, np.ndarray] = field(default_factory=dict)
+    # torque of known payloads on the link, shape (n,) [N·m] (`models.arm.Load.on`); None without
     carried: np.ndarray | None = None
 
 
-SENSOR_FEEDBACK = "sensor"
-"""Feedback of the torque sensor's reading instead of an estimate."""
+SENSOR_FEEDBACK = "sensor"  # feedback of the torque sensor's reading instead of an estimate
 
 
 @dataclass(frozen=True)
 class Driven:
-    """A joint in the closed loop: its drive and sensors; n control ticks.
+    """A joint in the closed loop: its drive and sensors; n control ticks."""
 
-    Attributes:
-      record: the plant's parameter record, shape (1,).
-      command, rate: of the drive, in the unit of the controller's mode (`controller.MODES`), and derivative, shape (n,).
-      external_torque: on the link [N·m], shape (n,).
-      sensors, noise: of `sim.sensors`.
-      controller: `models.controller.CONTROLLER` record, shape (1,).
-      feedback: the estimator in the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: no feedback.
-      temperature: of the gear [°C], shape (n,); constant by default.
-      tip_force: tangential force on the link [N] that causes the external torque, shape (n,): the wrench shows it. By
-        default the external torque is a pure torque.
-      crosstalk: of the wrench, shape (6, 6): shares of an axis' load in the others; none by default.
-      stamps: time stamps of the readings [s], shape (n,); exact by default.
-      commanded: whether estimators may read the current command (`models.step.CompiledStep.reads_command`).
-      prefix: of its names in a model of several joints.
-      start: of the link [rad]; the first command by default.
-    """
-
-    record: np.ndarray
+    record: np.ndarray  # the plant's parameter record, shape (1,)
+    # command, rate: of the drive, in the unit of the controller's mode (`controller.MODES`), and derivative, shape (n,)
     command: np.ndarray
     rate: np.ndarray
-    external_torque: np.ndarray
-    sensors: np.ndarray
-    noise: np.ndarray
-    controller: np.ndarray
+    external_torque: np.ndarray  # on the link [N·m], shape (n,)
+    sensors: np.ndarray  # of `sim.sensors`
+    noise: np.ndarray  # of `sim.sensors`
+    controller: np.ndarray  # `models.controller.CONTROLLER` record, shape (1,)
+    # the estimator in the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: no feedback
     feedback: CompiledStep | str | None = None
-    temperature: np.ndarray | None = None
+    temperature: np.ndarray | None = None  # of the gear [°C], shape (n,); constant by default
+    # tangential force on the link [N] that causes the external torque, shape (n,): the wrench shows it. By default the
+    # external torque is a pure torque.
     tip_force: np.ndarray | None = None
+    # of the wrench, shape (6, 6): shares of an axis' load in the others; none by default
     crosstalk: np.ndarray | None = None
-    stamps: np.ndarray | None = None
-    commanded: bool = True
-    prefix: str = ""
-    start: float | None = None
+    stamps: np.ndarray | None = None  # time stamps of the readings [s], shape (n,); exact by default
+    commanded: bool = True  # whether estimators may read the current command (`models.step.CompiledStep.reads_command`)
+    prefix: str = ""  # of its names in a model of several joints
+    start: float | None = None  # of the link [rad]; the first command by default
 
 
 @dataclass(frozen=True)
 class Change:
-    """Another plant from a tick on, after a payload was picked up or put down.
+    """Another plant from a tick on, after a payload was picked up or put down."""
 
-    Attributes:
-      tick: the first one.
-      model: differs from the one before in numbers only.
-      record: parameters of the only joint, shape (1,); None: all joints' remain.
-    """
-
-    tick: int
-    model: mujoco.MjModel
-    record: np.ndarray | None = None
+    tick: int  # the first one
+    model: mujoco.MjModel  # differs from the one before in numbers only
+    record: np.ndarray | None = None  # parameters of the only joint, shape (1,); None: all joints' remain
 
 
 class ClosedLoop:
     """Closed loops of a model's joints in progress: any number of ticks at a time, with the same results to the bit.
-
-    Attributes:
-      simulations: of each joint; their arrays fill up. `simulation`: of the first.
-      done: number of simulated ticks.
-    """
+    The arrays of `simulations`, a joint each, fill up to `done` ticks."""
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven], changes: Sequence[Change] = ()):
-        """Start at rest.
-
-        Args:
-          model: of `plant.build` or `arm.build`; it is not changed.
-          joints: in the model's order, with as many ticks each.
-          changes: of the plant; a change at tick 0 is the plant from the start on.
-        """
+        """Start at rest; joints in the model's order, with as many ticks each. The model is not changed; a change of
+        the plant at tick 0 is the plant from the start on."""
         self._changes = {change.tick: change for change in changes}
         records = [one.record for one in joints]
         if 0 in self._changes:
@@ -228,11 +189,7 @@ class ClosedLoop:
         return self.simulations[0]
 
     def advance(self, ticks: int) -> slice:
-        """Simulate up to `ticks` more ticks; none after an estimator in the loop has failed.
-
-        Returns:
-          The new ticks.
-        """
+        """Simulate up to `ticks` more ticks, and return them; none after an estimator in the loop has failed."""
         begin, n = self.done, len(self._simulations[0].time)
         if self._failed[:, 0].min() < n:
             return slice(begin, begin)

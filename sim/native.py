@@ -54,13 +54,8 @@ def _place(name: str) -> ctypes.c_void_p:
 
 
 class _Replacement:
-    """Replaces a global callback while any thread is inside; afterwards the previous one is restored.
-
-    Args:
-      name: of the callback.
-      function: returns the address of the other function, when it is first needed.
-      wanted: returns whether to replace the current one.
-    """
+    """Replaces a global callback while any thread is inside; afterwards the previous one is restored. `function`
+    returns the address of the other function, when it is first needed; `wanted`, whether to replace the current one."""
 
     def __init__(self, name: str, function: Callable[[], int], wanted: Callable[[], bool]):
         self._name, self._function, self._wanted = name, function, wanted

@@ -8,19 +8,16 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..models import laws
-from ..models.errors import InputError
+from ..models import laws, payload
+from ..models.errors import refusing
 from ..models.joint import Joint, shipped
 from ..models.joint_parts import Mounting
-from ..models.parameters import GRAVITY
 from ..models.payload import CarriedMass, carrying
 from . import native, plugin
 from .shape import shape
 
-TIMESTEP = 0.0002
-"""Default timestep [s], chosen by the convergence study in docs/convergence.md."""
+TIMESTEP = 0.0002  # default timestep [s], chosen by the convergence study in docs/convergence.md
 _LOCKED = 1e6  # kg·m², of a locked rotor
-_LEVER = 0.25  # m: largest distance of the link's centre of mass from the axis
 
 
 def build(
@@ -53,11 +50,8 @@ def build(
     """
     shape(joint)
     record = joint.record(mounting) if record is None else record
-    try:
-        with native.quiet():
-            return describe(record, timestep, ideal_current, locked_rotor, payloads).compile()
-    except ValueError as error:
-        raise InputError(f"{joint.name}: no plant: {' '.join(str(error).split())}") from error
+    with refusing(f"{joint.name}: no plant"), native.quiet():
+        return describe(record, timestep, ideal_current, locked_rotor, payloads).compile()
 
 
 def describe(
@@ -86,13 +80,8 @@ def describe(
 
 
 def put_laws(spec: mujoco.MjSpec, record: np.ndarray, prefix: str = "", link: str = "link") -> None:
-    """Put a joint's laws on its rotor, wave generator, link and the two tendons between them, by names with a prefix.
-
-    Args:
-      spec: not compiled yet, with its final timestep and integrator.
-      record: the joint's, shape (1,).
-      prefix: of all names; link: the link's joint.
-    """
+    """Put the laws of a joint's record on its rotor, wave generator, link and the two tendons between them. The spec is
+    not compiled yet, with its final timestep and integrator. `prefix`: of all names; `link`: the link's joint."""
     p, h = record[0], float(spec.option.timestep)
     # Half of every linear damping is MuJoCo's, implicit; half the plugin's.
     spec.joint(prefix + "rotor").damping = [0.5 * p["bm"], 0, 0]
@@ -134,13 +123,10 @@ def memory(model: mujoco.MjModel, data: mujoco.MjData, prefix: str = "") -> np.n
 
 
 def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | None = None) -> None:
-    """Put a model's joints at rest at a position (of each: rotor, wave generator, link [rad]; zero by default) at
-    time 0.
+    """Put a model's joints at rest at time 0, at positions of rotor, wave generator and link [rad], shape (joints, 3),
+    zero by default.
 
     Velocities in the model's state belong to the middle of a step (leapfrog), so the state starts half a step early.
-
-    Args:
-      position: shape (3,), or (joints, 3).
     """
     h = model.opt.timestep
     joints = model.nplugin
@@ -212,14 +198,8 @@ def set_motor(actuator: Any, p: np.void) -> None:
 
 
 def link_mass(p: np.void) -> tuple[float, float]:
-    """Return the mass of the link [kg] and the distance of its centre from the axis [m]: a description has only Mg
-    and Jl."""
-    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"] - laws.flexible_inertia(p))
-    if moment <= 0.0:
-        return 0.1, 0.0
-    # Its own m r² is at most 60 % of the inertia.
-    lever = min(_LEVER, 0.6 * inertia / moment)
-    return moment / lever, lever
+    """Return the mass of the rigid part of a record's link [kg] and the distance of its centre from the axis [m]."""
+    return payload.link_mass(float(p["Jl"] - laws.flexible_inertia(p)), float(p["Mg"]))
 
 
 def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:

@@ -24,8 +24,7 @@ from ..models.parameters import PARAMETERS, REFERENCE_TEMPERATURE, SIZE, as_floa
 from ..models.pointers import bytes_at, floats_at, ints_at, record_at, word_at, words_at
 from . import native
 
-NAME = "flexspline.joint"
-"""Of the plugin."""
+NAME = "flexspline.joint"  # of the plugin
 STATES = 14
 """Numbers of an instance's plugin state: bristle, Dahl state, velocities of the gear's coordinates a step before
 (four), temperature; then the first six as written by the current step; 1 after a step. Before the first step, whatever the
@@ -83,15 +82,11 @@ def bristle_under_load(z, w, g_before, g, h, p):
 
 @kernel
 def at_positions(theta, velocity, previous, bristle, dahl, time, h, temperature, p):
-    """Return state, transmission and sliding friction at the instant of the positions; bristle and Dahl state are
-    advanced by a step.
+    """Return `State` (without current), `Transmission` and g(w) at the instant of the positions; bristle and Dahl state
+    are advanced by a step.
 
-    Args:
-      theta: positions; velocity: half a step before; previous: one and a half steps before; three each.
-      bristle, dahl: at the last instant; time, h: now, of a step [s]; temperature [°C]; p: parameter record.
-
-    Returns:
-      `State` (without current), `Transmission`, g(w).
+    `velocity`: half a step before; `previous`: one and a half steps before; `bristle`, `dahl`: at the last instant;
+    `h`: of a step [s].
     """
     dahl_before = dahl
     if p.hysteresis_torque != 0.0:

@@ -190,15 +190,8 @@ def low_pass(value, value_before, passed_before, sensor):
 
 @kernel
 def sample(history, k, dt, noise, sensor):
-    """Return a sensor's value at control tick `k`.
-
-    Args:
-      history: true values at the ticks up to k.
-      dt: control period [s]; noise: of each tick, in the sensor's unit; sensor: `SENSOR` record.
-
-    Returns:
-      The value at the sensor's last sample instant less its delay (before the start: the first value), with noise,
-        quantised. Slower sensors hold their value.
+    """Return a sensor's value at control tick `k`, by true values at the ticks up to k: that of its last sample instant
+    less its delay (before the start: the first), with noise of each tick, quantised. Slower sensors hold their value.
     """
     t = sample_tick(k, dt, sensor)
     back = t - sensor.delay / dt

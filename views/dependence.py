@@ -19,8 +19,7 @@ VARIABLES = {
 }
 """Variables that a residual may depend on, with units."""
 BINS = 36
-ORDERS = np.arange(0.5, 14.01, 0.5)
-"""Orders per turn of the motor."""
+ORDERS = np.arange(0.5, 14.01, 0.5)  # orders per turn of the motor
 
 
 def explained(b: ResidualSeries, residual: np.ndarray, key: str) -> float:
@@ -66,12 +65,7 @@ def means(x: np.ndarray, r: np.ndarray, limits: tuple[float, float]) -> tuple[np
 
 
 def orders(motor: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Return the amplitude of a residual at each of `ORDERS`, shape (len(ORDERS),), by least squares.
-
-    Args:
-      motor: motor angle [rad], shape (k,).
-      residual: shape (k,).
-    """
+    """Return the amplitude of a residual, shape (k,), at each of `ORDERS` of the motor angle [rad], by least squares."""
     angle = motor[:, None] * ORDERS
     X = np.concatenate([np.cos(angle), np.sin(angle), np.ones((len(motor), 1))], axis=1)
     G = X.T @ X

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from ..models.gear_sheet import GearSheet
     from ..models.joint import Joint
 
-WIDTH = 80
-"""Largest width in columns."""
+WIDTH = 80  # largest width in columns
 _TOLERANCES = "±: one standard deviation of the description's tolerances"
 _SHARES = (0.1, 0.5, 1.0, 2.0)  # of the rated torque
 

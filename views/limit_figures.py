@@ -26,18 +26,9 @@ BASELINES = {
     "dynamics_ukf": "#7A3E9D", "rts_smoother": "#C0392B",
 }  # fmt: skip
 """Colour of each baseline; the paper's filters have theirs in `style`."""
-_SHOWN = (
-    "EKF",
-    "AREKF",
-    "RAREKF",
-    "kalman",
-    "lowpass",
-    "strong_tracking",
-    "dynamics_ekf",
-    "dynamics_ukf",
-    "rts_smoother",
-)
-"""Estimators whose error is drawn over time, if there are many."""
+_SHOWN = (  # estimators whose error is drawn over time, if there are many
+    "EKF", "AREKF", "RAREKF", "kalman", "lowpass", "strong_tracking", "dynamics_ekf", "dynamics_ukf", "rts_smoother",
+)  # fmt: skip
 
 
 def contender_color(name: str) -> str:
@@ -122,12 +113,11 @@ def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int) -> Figure:
 
 _LEAST_DELAY = 0.1  # ms
 _NAMES, _SMALL, _LEGEND = 1.45, 1.35, 2.05  # in: names left of a panel, a small panel, a legend
-_DPI = 110
 
 
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG, moved into place when complete."""
-    figure.set_dpi(_DPI)
+    figure.set_dpi(110)
     return save(figure, path)
 
 

@@ -10,6 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from ..scenarios.run import Run
 
+SHARE_WINDOW = 0.25  # window [s] over which the working mode is shown as a share of the time
+
 
 def settled(run: Run) -> np.ndarray:
     """Return the samples after the transient, shape (n,), bool."""
@@ -35,17 +37,11 @@ def switching(run: Run) -> list[str]:
 
 @dataclass(frozen=True)
 class Innovation:
-    """Innovation of a filter with one measurement; n samples.
+    """Innovation of a filter with one measurement; n samples."""
 
-    Attributes:
-      values: in the filter's unit, shape (n,).
-      deviation: expected standard deviation √P_Y, shape (n,).
-      nis: normalised innovation squared, shape (n,).
-    """
-
-    values: np.ndarray
-    deviation: np.ndarray
-    nis: np.ndarray
+    values: np.ndarray  # in the filter's unit, shape (n,)
+    deviation: np.ndarray  # expected standard deviation √P_Y, shape (n,)
+    nis: np.ndarray  # normalised innovation squared, shape (n,)
 
 
 def innovations(run: Run) -> dict[str, Innovation]:

@@ -22,27 +22,22 @@ if TYPE_CHECKING:
     from ..models.joint import Joint
     from ..models.recording import Measurement
 
-SHOWN = 3
-"""Proposals and regions that are shown."""
+SHOWN = 3  # proposals and regions that are shown
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a report shows.
+    """What a report shows."""
 
-    Attributes:
-      measurement, joint: the measurement, and the description that the diagnosis started from.
-      diagnosis, improvement, plan: results; None where they were not asked for or not computed.
-      folder: of the report, as one would type it; None where it is not known.
-      response: frequency response, measured and of the extended joint; None without enough excitation.
-    """
-
+    # measurement, joint: the measurement, and the description that the diagnosis started from
     measurement: Measurement
     joint: Joint
+    # diagnosis, improvement, plan: results; None where they were not asked for or not computed
     diagnosis: Diagnosis
     improvement: Improvement | None = None
     plan: Plan | None = None
-    folder: Path | None = None
+    folder: Path | None = None  # of the report, as one would type it; None where it is not known
+    # frequency response, measured and of the extended joint; None without enough excitation
     response: Response | None = None
 
     @property

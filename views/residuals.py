@@ -13,61 +13,43 @@ from .report import Report
 if TYPE_CHECKING:
     from ..diagnosis.data.segments import Segment
 
-CHANNELS = ("motor_current", "joint_torque", "link_balance")
-"""Channels of a residual, in the order of its columns."""
+CHANNELS = ("motor_current", "joint_torque", "link_balance")  # channels of a residual, in the order of its columns
 _LEAST = 200  # samples for a view over a variable
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """One channel of one recording; k samples, NaN between its segments.
+    """One channel of one recording; k samples, NaN between its segments."""
 
-    Attributes:
-      name: of the recording.
-      channel: one of `CHANNELS`.
-      unit: of all values.
-      time: since the recording's start [s], shape (k,).
-      measured: shape (k,), or None if there is only a residual.
-      before, after: residuals, shape (k,); NaN where they are not used.
-      noise: RMS of the residual by the sensors' noise.
-      held_out: held-out parts of the time [s].
-    """
-
-    name: str
-    channel: str
-    unit: str
-    time: np.ndarray
-    measured: np.ndarray | None
+    name: str  # of the recording
+    channel: str  # one of `CHANNELS`
+    unit: str  # of all values
+    time: np.ndarray  # since the recording's start [s], shape (k,)
+    measured: np.ndarray | None  # shape (k,), or None if there is only a residual
+    # before, after: residuals, shape (k,); NaN where they are not used
     before: np.ndarray
     after: np.ndarray
-    noise: float
-    held_out: tuple[tuple[float, float], ...]
+    noise: float  # RMS of the residual by the sensors' noise
+    held_out: tuple[tuple[float, float], ...]  # held-out parts of the time [s]
 
 
 @dataclass(frozen=True)
 class ResidualSeries:
-    """A torque balance's residual and the variables that it may depend on, of all recordings; k used samples.
+    """A torque balance's residual and the variables that it may depend on, of all recordings; k used samples."""
 
-    Attributes:
-      channel: one of `CHANNELS`.
-      unit: of residuals and noise.
-      before, after: shape (k,).
-      noise: rms.
-      time, link, motor, velocity, load: [s] since the recording's start, [rad], [rad, motor side], [rad/s, motor side], [N·m].
-      rising: whether the load rises.
-    """
-
-    channel: str
-    unit: str
-    before: np.ndarray
-    after: np.ndarray
-    noise: float
+    channel: str  # one of `CHANNELS`
+    unit: str  # of residuals and noise
+    before: np.ndarray  # shape (k,)
+    after: np.ndarray  # shape (k,)
+    noise: float  # rms
+    # time, link, motor, velocity, load: [s] since the recording's start, [rad], [rad, motor side], [rad/s, motor side],
+    # [N·m]
     time: np.ndarray
     link: np.ndarray
     motor: np.ndarray
     velocity: np.ndarray
     load: np.ndarray
-    rising: np.ndarray
+    rising: np.ndarray  # whether the load rises
 
     def variable(self, key: str) -> np.ndarray:
         """Return the values of one of `dependence.VARIABLES`, shape (k,)."""

@@ -6,15 +6,11 @@ import numpy as np
 
 
 def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -> np.ndarray:
-    """Return the indices of samples that draw the same line as all: lowest and highest of each column.
+    """Return the increasing indices, shape (k,), of samples that draw the same line as all values, shape (n,): lowest
+    and highest of each column, the first and the last; all if there are at most 2 · columns.
 
-    Args:
-      values: shape (n,); samples that are not finite are gaps, and a column that has one keeps one.
-      columns: number of columns of pixels; at most about two samples of each are kept.
-      keep: samples to keep in any case, shape (n,), bool.
-
-    Returns:
-      Increasing indices, shape (k,), with first and last sample; all if there are at most 2 · columns.
+    Samples that are not finite are gaps, and a column that has one keeps one. `columns`: of pixels; `keep`: samples to
+    keep in any case, shape (n,), bool.
     """
     values = np.asarray(values)
     n = len(values)
@@ -46,15 +42,8 @@ def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -
 
 
 def extremes(values: np.ndarray, columns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the lowest and highest value of each column: the outline of a noisy line.
-
-    Args:
-      values: shape (n,), finite.
-      columns: of pixels.
-
-    Returns:
-      Index of the middle sample, lowest and highest value of each column, shape (about columns,) each.
-    """
+    """Return the outline of a noisy line of finite values, shape (n,): index of the middle sample, lowest and highest
+    value of each column of pixels, shape (about columns,) each."""
     n = len(values)
     start = np.arange(0, n, -(-n // columns))
     middle = (start + np.append(start[1:], n)) // 2

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 _FILES = {"mjcf": "joint.xml.j2", "urdf": "joint.urdf.j2", "mjlab": "mjlab.py.j2", "isaac": "isaac.py.j2"}
 TARGETS = tuple(_FILES)
-PLAIN = re.compile(r"[\w ./:+-]+")
-"""A joint's name that can be written to every target as it is."""
+PLAIN = re.compile(r"[\w ./:+-]+")  # A joint's name that can be written to every target as it is
 TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -55,12 +54,8 @@ def heading(found: Collapse, joint: str, motion: str) -> list[str]:
 
 
 def written(found: Collapse, target: str, hinge: str, notes: list[str], link: Mapping[str, float]) -> str:
-    """Return the whole file of a target.
-
-    Args:
-      found: the collapsed joint; hinge: name of the joint in the target; notes: of `heading`.
-      link: `inertia` [kg·m²], `mass` [kg], and `lever` [m] and `angle` [rad] of the centre of mass of the payload.
-    """
+    """Return the whole file of a target with a collapsed joint. `hinge`: its name there; `notes`: of `heading`; `link`:
+    `inertia` [kg·m²], `mass` [kg], and `lever` [m] and `angle` [rad] of the centre of mass of the payload."""
     context = {
         "structure": found.structure, "p": found.parameters, "hinge": hinge, "notes": notes, "mass": link["mass"],
         "inertia": link["inertia"] - link["mass"] * link["lever"] ** 2, "gravity": GRAVITY,
@@ -88,14 +83,8 @@ def _comment(notes: list[str], indent: str = "  ") -> str:
 
 
 def users_joint(text: str, hinge: str, file: str, target: str) -> list[_Element]:
-    """Return the element of a joint in a user's MJCF or URDF, and the elements in it.
-
-    Args:
-      text: of the file; hinge: name of the joint; file: for messages; target: mjcf or urdf.
-
-    Raises:
-      InputError: no XML, a file of another kind, no such joint, or it is not a hinge; one line.
-    """
+    """Return the element of the joint `hinge` in the text of a user's MJCF or URDF, and the elements in it; `file`: for
+    messages. Raises `InputError`: no XML, a file of another kind, no such joint, or it is not a hinge."""
     elements = _elements(text, file)
     root, kinds = ("mujoco", ("hinge",)) if target == "mjcf" else ("robot", ("revolute", "continuous"))
     if elements[0].tags[0] != root:
@@ -113,11 +102,8 @@ def users_joint(text: str, hinge: str, file: str, target: str) -> list[_Element]
 def put_into(
     text: str, joint: list[_Element], found: Collapse, notes: list[str], polynomial: bool, radian: bool
 ) -> str:
-    """Return a user's MJCF or URDF with the numbers of one joint changed, and everything else unchanged.
-
-    Args:
-      text: of the file; joint: of `users_joint`; notes: of `heading`; polynomial, radian: as of `models.mjcf.inherited`.
-    """
+    """Return a user's MJCF or URDF with the numbers of one joint, of `users_joint`, changed, and everything else
+    unchanged; `notes`: of `heading`; `polynomial`, `radian`: as of `models.mjcf.inherited`."""
     p = found.parameters
     limit, changes = _n(p["torque_limit"]), list[tuple[int, int, str]]()
 

@@ -25,8 +25,7 @@ PARTS = {
 }  # fmt: skip
 """Torsion and its parts."""
 
-MAIN = "RAREKF"
-"""The paper's filter, for views of one filter."""
+MAIN = "RAREKF"  # the paper's filter, for views of one filter
 
 
 def filter_colors(names: Iterable[str]) -> dict[str, str]:

@@ -9,7 +9,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -29,6 +29,7 @@ _LEFT, _BETWEEN = 0.85, 0.14  # in
 _LEGEND = 8  # filters in a line of the legend
 _LOGARITHMIC = 15.0  # ratio of largest and smallest mean above which an axis is logarithmic
 _LINEAR = 1e-3  # of the largest difference: the axis is linear below
+_LOOK: dict[str, Any] = {"marker": "o", "ms": 3, "lw": 1.0, "elinewidth": 1.4, "capsize": 2.5}
 _CHARACTERS = 80  # of horizontal ticks in a row of panels
 
 
@@ -48,14 +49,8 @@ def save_sweep_figures(aggregates: Sequence[Aggregate], study: Study, folder: Pa
 def sweep_figure(
     aggregates: Sequence[Aggregate], study: Study, metric: str, differences: bool = False
 ) -> Figure | None:
-    """Draw one metric of one scenario; None if it has no values.
-
-    Args:
-      aggregates: of one scenario.
-      study: whose axes give the panels.
-      metric: its name.
-      differences: to the reference, paired, instead of means.
-    """
+    """Draw a metric of one scenario, or its paired differences from the reference; None if it has no values. The
+    study's axes give the panels."""
     column = metric_column(metric)
     across, places, panels = panels_of(aggregates, study, metric, differences)
     names = [n for n in study.names if not (differences and n == study.compared_to)]
@@ -87,18 +82,7 @@ def sweep_figure(
     colors = filter_colors(study.names)
     for axes, panel in zip(grid, panels, strict=True):
         for name, (x, mean, half) in panel.lines.items():
-            axes.errorbar(
-                x,
-                mean,
-                yerr=half,
-                color=colors[name],
-                label=name,
-                marker="o",
-                ms=3,
-                lw=1.0,
-                elinewidth=1.4,
-                capsize=2.5,
-            )
+            axes.errorbar(x, mean, yerr=half, color=colors[name], label=name, **_LOOK)
         if differences:
             axes.axhline(0, color=colors[study.compared_to], lw=1.0)
         axes.set_title(

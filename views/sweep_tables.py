@@ -194,26 +194,18 @@ def value_text(value: float | str | None) -> str:
 
 @dataclass(frozen=True)
 class Panel:
-    """A point of the axes that are not horizontal, with a line for every filter.
+    """A point of the axes that are not horizontal, with a line for every filter."""
 
-    Attributes:
-      at: axis → value.
-      lines: filter → horizontal positions, means, half intervals, shape (3, k), in the unit of the metric's column.
-    """
-
-    at: dict[str, Value]
+    at: dict[str, Value]  # axis → value
+    # filter → horizontal positions, means, half intervals, shape (3, k), in the unit of the metric's column
     lines: dict[str, np.ndarray]
 
 
 def panels_of(
     aggregates: Sequence[Aggregate], study: Study, metric: str, differences: bool = False
 ) -> tuple[str, list[Value | None], list[Panel]]:
-    """Return the horizontal axis, its values, and the panels of a metric of one scenario.
-
-    Args:
-      aggregates: of one scenario.
-      differences: from the reference, instead of means.
-    """
+    """Return the horizontal axis, its values, and the panels of a metric of one scenario, or of its differences from
+    the reference."""
     across, points = layout(aggregates, study)
     values = [v for v in dict.fromkeys(s.columns.get(across) for s in aggregates) if v is not None]
     places: list[Value | None] = [*values] or [None]

@@ -15,12 +15,9 @@ from rich.text import Text
 from .style import filter_colors
 
 _SHORT, _NAME, _NUMBER = 7, 15, 6  # characters of a line of a heading, of a name, and of a number
-UNTRUSTED = " †"
-"""Mark of an estimator that is not to be trusted (`estimator.trust`)."""
-RIGHT_NIS = (0.7, 1.4)
-"""Range of the mean NIS of an estimator with about the right variance."""
-RAW_MODEL = "raw model"
-"""Name of the compliance model without a filter in tables."""
+UNTRUSTED = " †"  # mark of an estimator that is not to be trusted (`estimator.trust`)
+RIGHT_NIS = (0.7, 1.4)  # range of the mean NIS of an estimator with about the right variance
+RAW_MODEL = "raw model"  # name of the compliance model without a filter in tables
 
 
 @dataclass(frozen=True)
@@ -68,11 +65,8 @@ IN_TERMINAL = tuple(column for column in COLUMNS if column.key != "rms_to_sensor
 
 
 def comparison_rows(metrics: Mapping[str, Mapping]) -> list[tuple[str, ...]]:
-    """Return the cells of the comparison as text: scenario, filter, then `COLUMNS`.
-
-    Args:
-      metrics: a run's metrics by scenario name: `{"filters": {name: {…}}, "model": {…}}`.
-    """
+    """Return the cells of the comparison as text: scenario, filter, then `COLUMNS`; by scenario, a run's metrics
+    `{"filters": {name: {…}}, "model": {…}}`."""
     rows = []
     for scenario, run in metrics.items():
         entries = {RAW_MODEL: run["model"]} if run.get("model") else {}
@@ -103,11 +97,7 @@ def doubts(metrics: Mapping[str, Mapping]) -> list[str]:
 
 
 def comparison_table(metrics: Mapping[str, Mapping]) -> Table:
-    """Return the comparison for the terminal: a row per filter below its scenario, the best of each scenario in bold.
-
-    Args:
-      metrics: a run's metrics by scenario name.
-    """
+    """Return the comparison for the terminal: a row per filter below its scenario, the best of each scenario in bold."""
     table = narrow_table(
         "Joint torque estimates",
         "Errors against the plant's noise-free joint torque; response: after the truth, 90 % of a push; – not defined"
@@ -173,12 +163,8 @@ def heading(words: str, unit: str = "", justify: Literal["left", "right"] = "rig
 
 
 def comparison_markdown(metrics: Mapping[str, Mapping], keys: Sequence[str] = ()) -> str:
-    """Return the comparison as a Markdown table, with the meaning of the columns below it.
-
-    Args:
-      metrics: a run's metrics by scenario name.
-      keys: of the columns to show, without the scenario; all by default.
-    """
+    """Return the comparison as a Markdown table, with the meaning of the columns below it; `keys`: of the columns,
+    without the scenario, all by default."""
     chosen = [k for k, column in enumerate(COLUMNS) if not keys or column.key in keys]
     first = ("filter",) if keys else ("scenario", "filter")
     heads = (*first, *(COLUMNS[k].title for k in chosen))

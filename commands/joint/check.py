@@ -15,10 +15,7 @@ from .._options import with_plugins
 if TYPE_CHECKING:
     from ...models.joint_check import Fault
 
-EXAMPLES = (
-    "flexspline joint check my_joint.yaml",
-    "flexspline joint check my_joint.yaml --json",
-)
+EXAMPLES = ("flexspline joint check my_joint.yaml", "flexspline joint check my_joint.yaml --json")
 
 
 @with_plugins

@@ -60,9 +60,7 @@ def command(
     changes: Annotated[
         list[str] | None,
         typer.Option(
-            "--set",
-            metavar="SYMBOL=VALUE",
-            help="Any other known number: `current_limit=6 A`, `K1=31000`. Repeatable.",
+            "--set", metavar="SYMBOL=VALUE", help="Any other known number: `current_limit=6 A`, `K1=31000`. Repeatable."
         ),
     ] = None,
     sources: Annotated[

@@ -67,8 +67,7 @@ from ..estimator import CausalEstimator, KnownJoint
 from ..sensing import arm_torque, temperature
 from ..tuning_parameters import TuningParameter
 
-ORDERS = 3
-"""Number of kinematic error orders whose error is estimated."""
+ORDERS = 3  # number of kinematic error orders whose error is estimated
 (
     LINK, LINK_RATE, ROTOR, WAVE_RATE, WOUND, BRISTLE, SPRING, SWING, SWING_RATE, EXTERNAL, MESH, COUNT,
     FRICTION, CONSTANT, LATE, WEIGHT, INERTIA, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
@@ -76,12 +75,9 @@ ORDERS = 3
 SIZE = KINEMATIC + 2 * ORDERS
 MOVING, INPUTS, FIXED = MESH + 1, LATE + 1, FRICTION
 """First state after the moving ones; first after those that act within a substep; first of the constant ones."""
-_TURN = 0.7
-"""Largest angle [rad] of the fastest spring in a substep."""
-_MOST = 200
-"""Most substeps of a sample."""
-_BEYOND = 1.25
-"""Torque [rated torque] beyond which the wave generator gets no stiffer, to limit a wrong stiffness."""
+_TURN = 0.7  # largest angle [rad] of the fastest spring in a substep
+_MOST = 200  # most substeps of a sample
+_BEYOND = 1.25  # torque [rated torque] beyond which the wave generator gets no stiffer, to limit a wrong stiffness
 _FIELDS = (
     "link_variance", "torsion_variance", "rotor_walk", "torque_variance", "mesh_walk", "bristle_walk", "presliding",
     "spring_walk", "loose",
@@ -115,38 +111,24 @@ OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "friction_error",
 )])  # fmt: skip
-_LEVEL_TIME = 5.0
-"""Correlation time [s] of the friction model's error."""
-_DOUBT = 2.0
-"""Mean NIS that is more than scatter, 0.5 about 1."""
-_FIRST_BEATS, _BEATS = 100.0, 1e4
-"""Weight of the nominal interval, and number of intervals in the mean."""
-_FOLLOW = 0.02
-"""Share of a stamp's deviation by which the grid of samples follows it."""
-_STAMPS = 30.0
-"""Prior evidence [variances of the link encoder] that time stamps are right."""
-_CLOCK, _SHAKES = 1e-4, 200.0
-"""Time error of a sample [s] with a weight of one; samples over which it is learned."""
-_TOUCH = 2.0
-"""Time [s] after which a constant contact may be an error of the constants."""
-_START = 1.0
-"""Largest initial velocity [rad/s]."""
-_STIFFENS = 2e-3
-"""Time [s] in which the wave generator may stiffen by a factor e."""
-_TRIES = 8
-"""Most iterations for the zero about which torsion is linearised."""
+_LEVEL_TIME = 5.0  # correlation time [s] of the friction model's error
+_DOUBT = 2.0  # mean NIS that is more than scatter, 0.5 about 1
+_FIRST_BEATS, _BEATS = 100.0, 1e4  # weight of the nominal interval, and number of intervals in the mean
+_FOLLOW = 0.02  # share of a stamp's deviation by which the grid of samples follows it
+_STAMPS = 30.0  # prior evidence [variances of the link encoder] that time stamps are right
+_CLOCK, _SHAKES = 1e-4, 200.0  # time error of a sample [s] with a weight of one; samples over which it is learned
+_TOUCH = 2.0  # time [s] after which a constant contact may be an error of the constants
+_START = 1.0  # largest initial velocity [rad/s]
+_STIFFENS = 2e-3  # time [s] in which the wave generator may stiffen by a factor e
+_TRIES = 8  # most iterations for the zero about which torsion is linearised
 _HELD, _RIPPLE = 1e-3, 0.1
 """Shortest time [s] for which a drive holds its current; time over which the mean square of its changes is taken."""
 _UNSEEN = 0.5
 """Time [s] after which unobserved motion between readings has changed the spring's torque as a walk of `_LOOSE`."""
-_LOOSE = 2.0
-"""Intensity of the spring's torque inside a dead zone, and while torsion contradicts [T2/√s]."""
-_LATE = 3.0
-"""Error [counts of the motor encoder] of a delayed link encoder's reading."""
-_CARRIED = 0.5
-"""Intensity of an unknown load's torque [its size/√s]."""
-_SAMPLES = 0.5
-"""Share of a sample by which the current may have been in force after its reading."""
+_LOOSE = 2.0  # intensity of the spring's torque inside a dead zone, and while torsion contradicts [T2/√s]
+_LATE = 3.0  # error [counts of the motor encoder] of a delayed link encoder's reading
+_CARRIED = 0.5  # intensity of an unknown load's torque [its size/√s]
+_SAMPLES = 0.5  # share of a sample by which the current may have been in force after its reading
 _CONSIDERED = (CONSTANT, WEIGHT, INERTIA)
 """Constants that are not learned: their priors are narrow, and persistent model errors look like them."""
 
@@ -589,44 +571,30 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class Augmented(CausalEstimator):
-    """Augmented Kalman filter; see the module. Torques are relative to the joint's T2 or Fc.
-
-    Attributes:
-      torque: intensity of the spring torque's own walk [T2/√s].
-      external: intensity of the external torque's walk [T2/√s]; push: while the link encoder contradicts.
-      mesh: white noise of torque at the mesh [Fc·√s]; bristle: noise of the friction's bristle [Fc/s0 per √s].
-      presliding: relative error of the bristle's stiffness [relative error of the friction model].
-      level: standard deviation of the friction model's error [Fc]; unsure: likewise, per relative error of that model
-        [Fc]; surge: its intensity while torsion contradicts [Fc/√s].
-      free: external torque [T2] without contact; back: its time constant [s]; wait: after the last contradiction [s].
-      gate: standard deviations of the external torque from zero that count as a contact, if it exceeds `least` [T2].
-      pause: calm [s] before constants are learned, and settled: of it in motion; every: between samples from which
-        they are [s].
-      coarse: standard deviation of the torsion's innovation [T2] from which they are learned at rest, too.
-      memory: share of the mean NIS that is kept per sample.
-      low, high: mean NIS at which the noise starts to grow, and at which it is full.
-    """
+    """Augmented Kalman filter; see the module. Torques are relative to the joint's T2 or Fc."""
 
     name: str = "augmented"
-    torque: float = 0.007
-    external: float = 0.0004
-    push: float = 8.0
-    mesh: float = 1.5e-3
-    bristle: float = 5.5e-3
-    presliding: float = 2.0
-    level: float = 0.017
-    unsure: float = 2.0
-    surge: float = 1.1
-    free: float = 0.0005
-    back: float = 0.05
+    torque: float = 0.007  # intensity of the spring torque's own walk [T2/√s]
+    external: float = 0.0004  # intensity of the external torque's walk [T2/√s]
+    push: float = 8.0  # the same while the link encoder contradicts [T2/√s]
+    mesh: float = 1.5e-3  # white noise of torque at the mesh [Fc·√s]
+    bristle: float = 5.5e-3  # noise of the friction's bristle [Fc/s0 per √s]
+    presliding: float = 2.0  # relative error of the bristle's stiffness [relative error of the friction model]
+    level: float = 0.017  # standard deviation of the friction model's error [Fc]
+    unsure: float = 2.0  # the same, per relative error of that model [Fc]
+    surge: float = 1.1  # intensity of that error while torsion contradicts [Fc/√s]
+    free: float = 0.0005  # external torque [T2] without contact
+    back: float = 0.05  # its time constant [s]
+    # standard deviations of the external torque from zero that count as a contact, if it exceeds `least` [T2]
     gate: float = 4.0
     least: float = 0.03
-    coarse: float = 0.01
-    settled: float = 0.1
-    pause: float = 0.5
-    every: float = 0.05
-    wait: float = 0.2
-    memory: float = 0.8
+    coarse: float = 0.01  # deviation of the torsion's innovation [T2] from which constants are learned at rest, too
+    settled: float = 0.1  # motion [s] in `pause`
+    pause: float = 0.5  # calm [s] before constants are learned
+    every: float = 0.05  # between samples from which they are learned [s]
+    wait: float = 0.2  # time after the last contradiction [s]
+    memory: float = 0.8  # share of the mean NIS that is kept per sample
+    # low, high: mean NIS at which the noise starts to grow, and at which it is full
     low: float = 5.0
     high: float = 12.0
     learns: ClassVar[bool] = True

@@ -36,12 +36,8 @@ OUT = np.dtype([(n, np.float64) for n in ("torque", "motor_velocity", "motor_acc
 
 @kernel
 def torque_of_current(m, s, c, p):
-    """Return the joint torque Ts [N·m] at a sample, a record of `models.step.SAMPLE`.
-
-    Args:
-      m: record of `MEMORY`, updated. c: record of `SETTINGS`: cutoff of the low-pass [rad/s], lead [s]. p: parameter
-        record.
-    """
+    """Return the joint torque Ts [N·m] at a sample. `m`: record of `MEMORY`, updated; `c`: of `SETTINGS`, cutoff of the
+    low-pass [rad/s] and lead [s]."""
     cutoff = c.cutoff
     motor = dynamics.actual_motor_position(s.motor_position, p)
     lowpass(m.motor, motor, s.interval, cutoff)
@@ -74,16 +70,11 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class MotorCurrent(CausalEstimator):
-    """Joint torque from motor current.
-
-    Attributes:
-      cutoff: of the low-pass [Hz].
-      lead: corrected share of the low-pass's lag [1].
-    """
+    """Joint torque from motor current."""
 
     name: str = "current"
-    cutoff: float = 40.0
-    lead: float = 0.0
+    cutoff: float = 40.0  # of the low-pass [Hz]
+    lead: float = 0.0  # corrected share of the low-pass's lag [1]
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
     tuning: ClassVar[tuple[TuningParameter, ...]] = (
         TuningParameter("cutoff", 1.0, 300.0), TuningParameter("lead", 0.0, 1.5, "linear"),

@@ -19,14 +19,10 @@ from ..tuning_parameters import TuningParameter
 
 @dataclass(frozen=True)
 class CurrentSmoothed(Estimator):
-    """Joint torque from motor current, smoothed; not causal.
-
-    Attributes:
-      quiet: allowed noise [rated torques], which decides its bandwidth (`smoothed.bandwidth`).
-    """
+    """Joint torque from motor current, smoothed; not causal."""
 
     name: str = "current_smoothed"
-    quiet: float = smoothed.QUIET
+    quiet: float = smoothed.QUIET  # allowed noise [rated torques], which decides its bandwidth (`smoothed.bandwidth`)
     causal: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
     tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("quiet", 1e-4, 0.1),)

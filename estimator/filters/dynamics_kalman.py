@@ -29,14 +29,10 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class DynamicsEKF(CausalEstimator):
-    """Extended Kalman filter on the joint's dynamics; see the module.
-
-    Attributes:
-      process: deviation of the joint from its equations.
-    """
+    """Extended Kalman filter on the joint's dynamics; see the module."""
 
     name: str = "dynamics_ekf"
-    process: ProcessNoise = field(default_factory=ProcessNoise)
+    process: ProcessNoise = field(default_factory=ProcessNoise)  # deviation of the joint from its equations
     costly: ClassVar[bool] = True
     innovation_unit: ClassVar[str] = "rad"
     tuning: ClassVar[tuple[TuningParameter, ...]] = TUNING
@@ -65,15 +61,11 @@ def _unscented_step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class DynamicsUKF(DynamicsEKF):
-    """Unscented Kalman filter on the joint's dynamics; the update is the EKF's, as the encoders are linear in the state.
-
-    Attributes:
-      process: deviation of the joint from its equations.
-      kappa: κ [1], spread of the sigma points.
-    """
+    """Unscented Kalman filter on the joint's dynamics; the update is the EKF's, as the encoders are linear in the
+    state."""
 
     name: str = "dynamics_ukf"
-    kappa: float = 1.0
+    kappa: float = 1.0  # κ [1], spread of the sigma points
     description: ClassVar[str] = (
         "unscented Kalman filter on the joint's own equations of motion (Julier & Uhlmann 1997)"
     )

@@ -53,14 +53,11 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class HInfinity(TorqueFilter):
-    """Fixed-γ H∞ filter.
-
-    Attributes:
-      gamma: attenuation γ in standard deviations of the measurement [√V]; infinity is the Kalman filter. Near 1 the
-        gain is near 1, too, and the filter returns the measurement.
-    """
+    """Fixed-γ H∞ filter."""
 
     name: str = "h_infinity"
+    # attenuation γ in standard deviations of the measurement [√V]; infinity is the Kalman filter. Near 1 the gain is
+    # near 1, too, and the filter returns the measurement.
     gamma: float = 2.0
     tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION, TuningParameter("gamma", 1.05, 100.0))
     description: ClassVar[str] = "H∞ filter of the compliance model's torque and its rate (Simon 2006)"

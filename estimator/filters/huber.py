@@ -60,13 +60,10 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class Huber(TorqueFilter):
-    """Huber's robust Kalman filter.
-
-    Attributes:
-      k: residual from which the loss is linear [standard deviations]; 1.345 is 95 % efficient at normal noise.
-    """
+    """Huber's robust Kalman filter."""
 
     name: str = "huber"
+    # residual from which the loss is linear [standard deviations]; 1.345 is 95 % efficient at normal noise
     k: float = 1.345
     tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION, TuningParameter("k", 0.3, 10.0))
     description: ClassVar[str] = "Kalman filter with Huber's loss instead of the square (Karlgaard & Schaub 2007)"

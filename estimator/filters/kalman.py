@@ -86,17 +86,13 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class TorqueFilter(CausalEstimator):
-    """A filter of the compliance model's torque with the constant-rate model.
-
-    Attributes:
-        acceleration: intensity √q of the torque's second derivative [T2/s² per √Hz]. The steady filter's natural frequency
-            is (q/(V·h))^(1/4): with 10·12 N·m and V = 0.05² at 1 kHz, 274 rad/s.
-        rate: standard deviation of the first rate [T2/s].
-    """
+    """A filter of the compliance model's torque with the constant-rate model."""
 
     name: str = "kalman"
+    # intensity √q of the torque's second derivative [T2/s² per √Hz]. The steady filter's natural frequency is
+    # (q/(V·h))^(1/4): with 10·12 N·m and V = 0.05² at 1 kHz, 274 rad/s.
     acceleration: float = 10.0
-    rate: float = 1.0
+    rate: float = 1.0  # standard deviation of the first rate [T2/s]
     tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION,)
     description: ClassVar[str] = "Kalman filter of the compliance model's torque and its rate (Bar-Shalom et al. 2001)"
     reads_command: ClassVar[bool] = True

@@ -38,16 +38,11 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class LowPass(CausalEstimator):
-    """Butterworth low-pass of the compliance model.
-
-    Attributes:
-        cutoff: −3 dB frequency [Hz].
-        order: 1 or 2.
-    """
+    """Butterworth low-pass of the compliance model."""
 
     name: str = "lowpass"
-    cutoff: float = 30.0
-    order: int = 2
+    cutoff: float = 30.0  # −3 dB frequency [Hz]
+    order: int = 2  # 1 or 2
     tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("cutoff", 1.0, 400.0),)
     description: ClassVar[str] = "compliance model through a Butterworth low-pass (Zhang, Ahmad & Liu 2013)"
     reads_command: ClassVar[bool] = True

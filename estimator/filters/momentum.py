@@ -55,12 +55,8 @@ OUT = np.dtype([(name, np.float64) for name in (
 
 @kernel
 def observe(m, s, found, c, p):
-    """Update both observers with a sample.
-
-    Args:
-      m: record of `OBSERVER`. s: record of `models.step.SAMPLE`. found: of `compliance.measure`.
-      c: record of `SETTINGS`: gain K [1/s], cutoff of the velocities' first-order low-pass [rad/s].
-    """
+    """Update both observers, a record of `OBSERVER`, with a sample; `found`: of `compliance.measure`; `c`: record of
+    `SETTINGS`, gain K [1/s] and cutoff of the velocities' first-order low-pass [rad/s]."""
     h, K = s.interval, c.gain
     motor, link = found.motor_position, found.link_position
     ratio = 1.0 / p.N - laws.kinematic_error_slope(motor, p)
@@ -116,16 +112,11 @@ def _combined_step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class MomentumObserver(CausalEstimator):
-    """Momentum observers of drive and link.
-
-    Attributes:
-        bandwidth: K/2π [Hz].
-        cutoff: of the velocities' low-pass [Hz].
-    """
+    """Momentum observers of drive and link."""
 
     name: str = "momentum"
-    bandwidth: float = 20.0
-    cutoff: float = 40.0
+    bandwidth: float = 20.0  # K/2π [Hz]
+    cutoff: float = 40.0  # of the velocities' low-pass [Hz]
     tuning: ClassVar[tuple[TuningParameter, ...]] = (
         TuningParameter("bandwidth", 0.5, 200.0), TuningParameter("cutoff", 2.0, 400.0),
     )  # fmt: skip
@@ -140,18 +131,12 @@ class MomentumObserver(CausalEstimator):
 
 @dataclass(frozen=True)
 class MomentumTorsion(MomentumObserver):
-    """Momentum observer while turning, torsion at rest.
-
-    Attributes:
-      turning: motor velocity ω₀ of equal weights [vs, the Stribeck velocity].
-      smoothing: of the weight [s].
-      follow: time constant of the torsion's offset [s].
-    """
+    """Momentum observer while turning, torsion at rest."""
 
     name: str = "momentum_torsion"
-    turning: float = 1.0
-    smoothing: float = 0.02
-    follow: float = 1.0
+    turning: float = 1.0  # motor velocity ω₀ of equal weights [vs, the Stribeck velocity]
+    smoothing: float = 0.02  # of the weight [s]
+    follow: float = 1.0  # time constant of the torsion's offset [s]
     tuning: ClassVar[tuple[TuningParameter, ...]] = (
         *MomentumObserver.tuning, TuningParameter("turning", 0.05, 50.0), TuningParameter("smoothing", 1e-3, 1.0),
         TuningParameter("follow", 0.02, 100.0),

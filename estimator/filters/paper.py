@@ -88,39 +88,26 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class PaperFilter(CausalEstimator):
-    """One of the paper's filters. Defaults: see the module.
+    """One of the paper's filters. Defaults: see the module. Raises `InputError`: a value of the wrong kind or out of
+    range, with field and unit."""
 
-    Attributes:
-      name: in results; the rule by default.
-      rule: `ekf`, `robust` (Eq. 18, fixed γ), `arekf` (Eq. 19, α = 1) or `rarekf` (Eq. 19, α of the load).
-      gamma: attenuation factor γ of Eq. (18) [N·m]; infinity is the EKF.
-      k: of Eq. (23) [1/(N·m)²].
-      rho: forgetting factor ρ of Eq. (20) [1].
-      W: process noise variance of one step [(N·m)²].
-      V: measurement noise variance [(N·m)²].
-      P0: variance of the first estimate [(N·m)²].
-      L: L = scale·I of Eq. (18) [1].
-      alpha: Eq. (23) as `max(1, kω²)`; as `printed`, `min(kω², 1)`, which ends in `FilterDiverged` at zero load; or
-        `inverse`, `max(1, 1/(kω²))`: never robust without load, and easily under it.
-      memory: Eq. (20) uses P̄_Y(k-1) as in its `source`, or P_Y(k-1) of Eq. (14) as `printed`.
-      covariance: P_Y in Eqs. (19), (25) is that of the `unadjusted` prediction, or the `adjusted` one of Eq. (14),
-        which contains the Σ that it decides: f_α then solves both equations at once.
-
-    Raises:
-      InputError: a value of the wrong kind or out of range, with field and unit.
-    """
-
-    name: str = ""
+    name: str = ""  # in results; the rule by default
+    # `ekf`, `robust` (Eq. 18, fixed γ), `arekf` (Eq. 19, α = 1) or `rarekf` (Eq. 19, α of the load)
     rule: Literal["ekf", "robust", "arekf", "rarekf"] = "rarekf"
-    gamma: float = 0.12
-    k: float = 1.0 / 16.0
-    rho: float = 9.0
-    W: float = 1.0e-4
-    V: float = 1.0e-2
-    P0: float = 1.0e-2
-    L: float = 1.0
+    gamma: float = 0.12  # attenuation factor γ of Eq. (18) [N·m]; infinity is the EKF
+    k: float = 1.0 / 16.0  # of Eq. (23) [1/(N·m)²]
+    rho: float = 9.0  # forgetting factor ρ of Eq. (20) [1]
+    W: float = 1.0e-4  # process noise variance of one step [(N·m)²]
+    V: float = 1.0e-2  # measurement noise variance [(N·m)²]
+    P0: float = 1.0e-2  # variance of the first estimate [(N·m)²]
+    L: float = 1.0  # L = scale·I of Eq. (18) [1]
+    # Eq. (23) as `max(1, kω²)`; as `printed`, `min(kω², 1)`, which ends in `FilterDiverged` at zero load; or `inverse`,
+    # `max(1, 1/(kω²))`: never robust without load, and easily under it
     alpha: Literal["max", "printed", "inverse"] = "max"
+    # Eq. (20) uses P̄_Y(k-1) as in its `source`, or P_Y(k-1) of Eq. (14) as `printed`
     memory: Literal["source", "printed"] = "source"
+    # P_Y in Eqs. (19), (25) is that of the `unadjusted` prediction, or the `adjusted` one of Eq. (14), which contains
+    # the Σ that it decides: f_α then solves both equations at once
     covariance: Literal["unadjusted", "adjusted"] = "unadjusted"
     reads_command: ClassVar[bool] = True
     compiled: ClassVar[Step] = _step

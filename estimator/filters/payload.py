@@ -25,8 +25,7 @@ from ..payload_model import INTERVAL, MEMORY, SIZE, KnownPayload, Seen, external
 from ..sensing import LOWPASS, arm_torque, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
-DECIMATION = 4
-"""Grid steps per sample of the regression."""
+DECIMATION = 4  # grid steps per sample of the regression
 _ITERATIONS = 10
 _SECOND = 1.5  # cutoff of the second low-pass over that of the first
 
@@ -76,14 +75,10 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class PayloadObserver(CausalEstimator):
-    """Observer of a rigid payload, causal.
-
-    Attributes:
-      cutoff: of the low-pass [Hz].
-    """
+    """Observer of a rigid payload, causal."""
 
     name: str = "payload"
-    cutoff: float = 40.0
+    cutoff: float = 40.0  # of the low-pass [Hz]
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
     tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("cutoff", 1.0, 300.0),)
     description: ClassVar[str] = "observer of a rigid payload from the motor current; blind to contact"
@@ -98,13 +93,10 @@ class PayloadObserver(CausalEstimator):
 
 @dataclass(frozen=True)
 class PayloadSmoothed(Estimator):
-    """The rigid payload of the whole recording; not causal.
-
-    Attributes:
-      quiet: allowed noise of the estimate from current [rated torques], which decides the bandwidth of the motion.
-    """
+    """The rigid payload of the whole recording; not causal."""
 
     name: str = "payload_smoothed"
+    # allowed noise of the estimate from current [rated torques], which decides the bandwidth of the motion
     quiet: float = smoothed.QUIET
     causal: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
@@ -143,12 +135,8 @@ def slow_current(signals: Signals) -> np.ndarray:
 
 
 def observe(joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray, current: np.ndarray) -> KnownPayload:
-    """Return the payload of a part of a recording.
-
-    Args:
-      motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque` [N·m]; current: of `slow_current` [A]; shape
-        (n,), at every `DECIMATION`-th point of the grid.
-    """
+    """Return the payload of a part of a recording, by `smoothed.smooth_motion`, `smoothed.own_torque` [N·m] and
+    `slow_current` [A], shape (n,), at every `DECIMATION`-th point of the grid."""
     given = joint.record, prior(joint), noise(joint), math.exp(-smoothed.STEP * DECIMATION / MEMORY)
     own = np.ascontiguousarray(own)
     x = _filter(motion, current, own, *given, np.empty(0))

@@ -31,10 +31,8 @@ def forward(samples, settings, record, memory, out, F, predicted, covariance, fi
     """Filter n samples and keep the data of the backward pass; return n, or the sample at which an estimate was not
     finite.
 
-    Args:
-      memory: Shape (1,), record of `FILTER`. out: Shape (n,), records of `OUT`.
-      F, covariance, filtered: Shape (n, m, m): Jacobian, covariance of the prediction, of the estimate.
-      predicted: Shape (n, SIZE).
+    `memory`: record of `FILTER`; `out`: records of `OUT`, shape (n,); `F`, `covariance`, `filtered`: Jacobian,
+    covariance of the prediction and of the estimate, shape (n, m, m); `predicted`: shape (n, SIZE).
     """
     m, c, p, count = memory[0], settings[0], record[0], F.shape[1]
     for k in range(len(samples)):
@@ -78,13 +76,10 @@ class RTSSmoother(Estimator):
     The backward pass needs 3 m² + SIZE numbers a sample, 2 MB per second at 1 kHz. The filter runs forward once and
     keeps its state at the start of every `BLOCK` of samples. From the last block to the first it runs again, keeps
     every sample, and runs back: the same numbers in a block's memory.
-
-    Attributes:
-      process: deviation of the joint from its equations.
     """
 
     name: str = "rts_smoother"
-    process: ProcessNoise = field(default_factory=ProcessNoise)
+    process: ProcessNoise = field(default_factory=ProcessNoise)  # deviation of the joint from its equations
     causal: ClassVar[bool] = False
     costly: ClassVar[bool] = True
     innovation_unit: ClassVar[str] = "rad"

@@ -52,18 +52,13 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class StrongTracking(TorqueFilter):
-    """Strong tracking filter.
-
-    Attributes:
-      acceleration: as `TorqueFilter`, smaller: fading replaces process noise.
-      forget: ρ [1]: 0.95 as in the source, a memory of two samples.
-      soften: β ≥ 1 [1]: ratio of innovations to the expected ones that starts fading. A memory of two samples
-        scatters widely: a smaller ratio would fade at noise.
-    """
+    """Strong tracking filter."""
 
     name: str = "strong_tracking"
-    acceleration: float = 2.0
-    forget: float = 0.95
+    acceleration: float = 2.0  # as `TorqueFilter`, smaller: fading replaces process noise
+    forget: float = 0.95  # ρ [1]: 0.95 as in the source, a memory of two samples
+    # β ≥ 1 [1]: ratio of innovations to the expected ones that starts fading. A memory of two samples scatters widely:
+    # a smaller ratio would fade at noise.
     soften: float = 7.0
     tuning: ClassVar[tuple[TuningParameter, ...]] = (
         ACCELERATION, TuningParameter("soften", 1.0, 100.0), TuningParameter("forget", 0.1, 50.0),

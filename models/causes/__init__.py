@@ -34,11 +34,8 @@ def offered() -> dict[str, Offer]:
 
 
 def names() -> list[str]:
-    """Return the names of all known causes, by component.
-
-    Raises:
-      InputError: one of a plugin that cannot be loaded or is not a cause.
-    """
+    """Return the names of all known causes, by component. Raises `InputError`: one of a plugin that cannot be loaded or
+    is not a cause."""
     every = [*_own(), *offered()]
     return sorted(every, key=lambda name: (COMPONENTS.index(get(name).component), name))
 

@@ -21,82 +21,51 @@ COMPONENTS = ("motor", "transmission", "link", "sensor")
 
 @dataclass(frozen=True)
 class CauseParameter:
-    """A parameter of a cause, in the *extended* model.
+    """A parameter of a cause, in the *extended* model."""
 
-    Attributes:
-      name: as in a diagnosis.
-      unit: SI unit, `1` for a pure number.
-      bounds: smallest and largest possible value.
-      ordinary: intervals of ordinary size, for draws of hidden effects and for priors; with `relative`, in units of
-        the nominal value (0.92 is 8 % less).
-      relative: field of the parameter record that multiplies `ordinary` and `neutral`.
-      neutral: value without effect (times the relative field).
-      magnitude: whether it grows with the size of the effect; other parameters are places or kinds.
-      integer: whether only whole numbers are possible.
-      period: of an angle [rad], 0 for others.
-      searched: smallest and largest whole number that a diagnosis tries, if more than the ordinary ones.
-      starts: values from which a diagnosis searches, if a few over the ordinary interval are not enough.
-    """
-
-    name: str
-    unit: str
-    bounds: tuple[float, float]
+    name: str  # as in a diagnosis
+    unit: str  # SI unit, `1` for a pure number
+    bounds: tuple[float, float]  # smallest and largest possible value
+    # intervals of ordinary size, for draws of hidden effects and for priors; with `relative`, in units of the nominal
+    # value (0.92 is 8 % less)
     ordinary: tuple[tuple[float, float], ...]
-    relative: str | None = None
-    neutral: float = 0.0
-    magnitude: bool = False
-    integer: bool = False
-    period: float = 0.0
+    relative: str | None = None  # field of the parameter record that multiplies `ordinary` and `neutral`
+    neutral: float = 0.0  # value without effect (times the relative field)
+    magnitude: bool = False  # whether it grows with the size of the effect; other parameters are places or kinds
+    integer: bool = False  # whether only whole numbers are possible
+    period: float = 0.0  # of an angle [rad], 0 for others
+    # smallest and largest whole number that a diagnosis tries, if more than the ordinary ones
     searched: tuple[int, int] | None = None
+    # values from which a diagnosis searches, if a few over the ordinary interval are not enough
     starts: tuple[float, ...] = ()
 
 
 TURN = 2 * np.pi
-PHASE = CauseParameter("phase", "rad", (-TURN, TURN), ((0.0, TURN),), period=TURN)
-"""The phase of a periodic effect."""
+PHASE = CauseParameter("phase", "rad", (-TURN, TURN), ((0.0, TURN),), period=TURN)  # the phase of a periodic effect
 
 
 @dataclass(frozen=True)
 class Requirements:
-    """Conditions of a measurement for a cause of ordinary size to show; by default none.
+    """Conditions of a measurement for a cause of ordinary size to show; by default none."""
 
-    Attributes:
-      sliding: time in which the mesh slides, over all recordings [s].
-      reversal: whether the motion must change its direction.
-      motor_turn: travel of the rotor [turns]; link_travel: range of the link's angle [rad].
-      link_beyond: angle that the link must pass [rad].
-      load_span: range of the joint torque, as a share of the rated torque.
-      speed: of the motor, in Stribeck velocities vs.
-      duration: of one recording [s].
-      temperature_span: range of the temperature [K].
-      known_push: whether a recording without unmeasured pushes on the link is needed.
-      gravity: whether it must have a gravity moment.
-      arm: whether other joints of an arm must move.
-      weighed: whether a current is needed, or a load that is not of an arm's mass model.
-    """
-
-    sliding: float = 0.0
-    reversal: bool = False
-    motor_turn: float = 0.0
-    link_travel: float = 0.0
-    link_beyond: float = -np.inf
-    load_span: float = 0.0
-    speed: float = 0.0
-    duration: float = 0.0
-    temperature_span: float = 0.0
-    known_push: bool = False
-    gravity: bool = False
-    arm: bool = False
-    weighed: bool = False
+    sliding: float = 0.0  # time in which the mesh slides, over all recordings [s]
+    reversal: bool = False  # whether the motion must change its direction
+    motor_turn: float = 0.0  # travel of the rotor [turns]
+    link_travel: float = 0.0  # range of the link's angle [rad]
+    link_beyond: float = -np.inf  # angle that the link must pass [rad]
+    load_span: float = 0.0  # range of the joint torque, as a share of the rated torque
+    speed: float = 0.0  # of the motor, in Stribeck velocities vs
+    duration: float = 0.0  # of one recording [s]
+    temperature_span: float = 0.0  # range of the temperature [K]
+    known_push: bool = False  # whether a recording without unmeasured pushes on the link is needed
+    gravity: bool = False  # whether it must have a gravity moment
+    arm: bool = False  # whether other joints of an arm must move
+    weighed: bool = False  # whether a current is needed, or a load that is not of an arm's mass model
 
 
 def put_order(p: np.void, field: str, values: dict[str, float]) -> None:
-    """Add an order, amplitude and phase to `{field}_order`, `_amplitude`, `_phase`: as a vector to the same order,
-    else in the first free place.
-
-    Raises:
-      InputError: no place is free.
-    """
+    """Add an order, amplitude and phase to `{field}_order`, `_amplitude`, `_phase`: as a vector to the same order, else
+    in the first free place. Raises `InputError`: no place is free."""
     orders, amplitudes, phases = (p[f"{field}_{name}"] for name in ("order", "amplitude", "phase"))
     there = np.flatnonzero((amplitudes != 0) & (orders == values["order"]))
     free = np.flatnonzero(amplitudes == 0)
@@ -140,15 +109,10 @@ def put_discrepancy(
 
 
 def spline_through(values: np.ndarray) -> np.ndarray:
-    """Return the coefficients of the natural cubic spline through values at even points, for `put_discrepancy`.
+    """Return the coefficients, shape (n + 2,), of the natural cubic spline through n = 2 to 30 values at even points,
+    for `put_discrepancy`.
 
     At the points (c_i + 4 c_{i+1} + c_{i+2}) / 6 = value, and at both ends the second derivative is zero.
-
-    Args:
-      values: shape (n,), n from 2 to 30.
-
-    Returns:
-      Coefficients, shape (n + 2,).
     """
     if not 2 <= len(values) <= N_COEFFICIENTS - 2:
         raise InputError(f"spline: expected 2 to {N_COEFFICIENTS - 2} values, got {len(values)}")

@@ -15,11 +15,7 @@ _DRAWS = 8
 
 
 def check(cause: Cause) -> None:
-    """Check a plugin's cause.
-
-    Raises:
-      InputError: its fault.
-    """
+    """Check a plugin's cause. Raises `InputError`: its fault."""
     for field in ("component", "description", "parameters"):
         if not hasattr(cause, field):
             raise InputError(f"{field}: missing")

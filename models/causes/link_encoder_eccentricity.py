@@ -13,7 +13,4 @@ class LinkEncoderEccentricity(Cause):
     adds = True
     requires = Requirements(link_travel=0.5)
     torsion = True
-    parameters = (
-        CauseParameter("amplitude", "rad", (0.0, 0.05), ((0.2e-3, 0.6e-3),), magnitude=True),
-        PHASE,
-    )
+    parameters = (CauseParameter("amplitude", "rad", (0.0, 0.05), ((0.2e-3, 0.6e-3),), magnitude=True), PHASE)

@@ -20,10 +20,7 @@ class MotorEncoderEccentricity(Cause):
     adds = True
     requires = Requirements(motor_turn=1.0)
     torsion = True
-    parameters = (
-        CauseParameter("amplitude", "rad", (0.0, 0.1), ((3e-3, 15e-3),), magnitude=True),
-        PHASE,
-    )
+    parameters = (CauseParameter("amplitude", "rad", (0.0, 0.1), ((3e-3, 15e-3),), magnitude=True), PHASE)
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         whole = p["motor_eccentricity"] * np.exp(1j * p["motor_eccentricity_phase"])

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ...estimator.estimator import KnownJoint
-from ...models.arm import ArmRecord, ArmSpec
+from ...models.arm import ArmRecord, ArmSpec, pickups
 from ...models.arm_dynamics import Arm, external_torques
 from ...models.errors import InputWarning
 from ...models.files import yaml_text
@@ -31,24 +31,17 @@ _MJCF = "arm.xml"
 
 
 def run_arm(
-    scenario: ArmScenario,
-    folder: Path | None = None,
-    threads: int = 1,
-    records: Mapping[str, np.ndarray] | None = None,
+    scenario: ArmScenario, folder: Path | None = None, threads: int = 1, records: Mapping[str, np.ndarray] | None = None
 ) -> dict[str, Run]:
-    """Run a scenario of an arm.
+    """Run a scenario of an arm; return a run of every joint by its name, from the base to the tip.
 
-    Estimators know the payload of a joint with the others at the median of their commands. The effect of the others' motion is
-    external torque for them. The recordings include it: the arm's links and the other encoders' angles.
+    Estimators know the payload of a joint with the others at the median of their commands. The effect of the others'
+    motion is external torque for them. The recordings include it: the arm's links and the other encoders' angles.
 
     Args:
-      scenario: to run.
       folder: of the scenario's file, to which paths of joints and model are relative.
       threads: filters at a time; the result does not depend on it.
       records: parameters of other plants, such as with hidden effects, by the joint's name, shape (1,) each.
-
-    Returns:
-      A run of every joint by its name, from the base to the tip.
 
     Raises:
       InputError, FilterDiverged: as `run.run_scenario`.
@@ -80,12 +73,10 @@ def run_arm(
         own = _alone(scenario, e.scenario).model_copy(update={"link": link, "mounting": ""})
         described = KnownJoint.of(e.known_joint, link)
         experiments.append(replace(e, scenario=own, known=described))
-    carried = np.array([one.carried(alone[0].scenario.time) for one in scenario.payloads], dtype=bool)
-    carried = carried.reshape(len(scenario.payloads), len(alone[0].command))
-    ticks = np.flatnonzero(np.any(np.diff(carried, axis=1, prepend=False), axis=0))
-    changes = [Change(int(tick), build(carried=carried[:, tick].tolist())) for tick in ticks]
+    times = pickups(scenario.payloads, alone[0].scenario.time)
+    changes = [Change(tick, build(carried=carried)) for tick, carried in times]
     driven = [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)]
-    loop = ClosedLoop(build(carried=[False] * len(carried)), driven, changes)
+    loop = ClosedLoop(build(carried=[False] * len(scenario.payloads)), driven, changes)
     loop.advance(len(alone[0].command))
     for i, e in enumerate(experiments):
         e.check(loop, place=i)

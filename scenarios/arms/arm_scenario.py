@@ -21,13 +21,11 @@ from ...models.files import Strict, parse
 from ...models.joint import Joint
 from ...sim.loop import CONTROL_PERIOD
 from ...sim.plant import TIMESTEP
-from ..scenario import Scenario, parse_changed, put_all, read_scenario, shipped_arms
+from ..scenario import Scenario, parse_changed, put_all, read_scenario
 
 _SHARED = ("duration", "timestep")
-_COMMON = (*_SHARED, "seed", "format")
-"""Keys next to `arm`, for all joints."""
-_OF_THE_MODEL = ("mounting", "link", "length", "turn")
-"""Keys of a joint that a model of the arm replaces."""
+_COMMON = (*_SHARED, "seed", "format")  # keys next to `arm`, for all joints
+_OF_THE_MODEL = ("mounting", "link", "length", "turn")  # keys of a joint that a model of the arm replaces
 
 
 class JointInArm(Scenario):
@@ -164,12 +162,9 @@ class ArmScenario(Strict):
         return data
 
     def masses(self, folder: Path | None) -> tuple[str, str]:
-        """Return the masses and the hinges of its joints as an MJCF's text, from its model, and a line about what of the model's
-        drives is not used; `folder`: of the scenario's file.
-
-        Raises:
-          InputError: as of `arm_model.reduced`; positions commanded beyond a hinge's range.
-        """
+        """Return the masses and the hinges of its joints as an MJCF's text, from its model, and a line about what of
+        the model's drives is not used. Raises `InputError`: as `arm_model.reduced`; positions commanded beyond a
+        hinge's range."""
         where, names = f"scenario {self.name}", [joint.name for joint in self.arm]
         path = (folder or Path()) / str(self.model)
         if not path.is_file():
@@ -198,18 +193,10 @@ def _seed(seed: int, name: str) -> int:
 def load_any(
     source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[Scenario | ArmScenario, Path]:
-    """Load a scenario of a joint or, with the key `arm:`, of an arm.
-
-    Args:
-      source, changes, seed: as of `scenario.load_scenario`; keys of an arm's joints are `arm.0.joint`, counted from the base.
-
-    Returns:
-      The scenario and its file.
-
-    Raises:
-      InputError: an unknown or wrong scenario.
-    """
-    data, path = read_scenario(source, changes, seed, shipped_arms())
+    """Load a scenario of a joint or, with the key `arm:`, of an arm, as `scenario.load_scenario`, and return it with
+    its file. Keys of an arm's joints are `arm.0.joint`, counted from the base. Raises `InputError`: an unknown or wrong
+    scenario."""
+    data, path = read_scenario(source, changes, seed)
     if "arm" in data:
         return _placed(parse_changed(data, ArmScenario, path, changes), path.parent), path
     return parse_changed(data, Scenario, path, changes).in_folder(path.parent), path
@@ -222,12 +209,9 @@ def _placed(scenario: ArmScenario, folder: Path) -> ArmScenario:
 def load_arm(
     source: str | Path, seed: int | None = None, changes: Mapping[str, Any] | None = None
 ) -> tuple[ArmScenario, Path]:
-    """Load a scenario of an arm, with other values of dotted keys.
-
-    Raises:
-      InputError: an unknown or wrong scenario, or that of a single joint.
-    """
-    data, path = read_scenario(source, None, seed, shipped_arms())
+    """Load a scenario of an arm, with other values of dotted keys. Raises `InputError`: an unknown or wrong scenario,
+    or that of a single joint."""
+    data, path = read_scenario(source, None, seed)
     put_all(data, changes or {}, str(path))
     if "arm" not in data:
         raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a single joint")
@@ -235,11 +219,8 @@ def load_arm(
 
 
 def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | None = None) -> ArmScenario:
-    """Return a scenario of an arm with other values of dotted keys, and another seed if given.
-
-    Raises:
-      InputError: an unknown key or a wrong value.
-    """
+    """Return a scenario of an arm with other values of dotted keys, and another seed if given. Raises `InputError`: an
+    unknown key or a wrong value."""
     where = f"scenario {scenario.name}"
     data = scenario.written(stated=True) | ({} if seed is None else {"seed": seed})
     put_all(data, changes, where)

@@ -28,6 +28,7 @@ from ...estimator.errors import FilterDiverged
 from ...estimator.estimator import Estimator, KnownJoint
 from ...estimator.external import external_torque
 from ...models.errors import InputError
+from ...models.notebook import shortened
 from ...models.signals import Signals
 from ...sim.loop import CONTROL_PERIOD, Simulation
 from ...sim.sensors import stream
@@ -35,22 +36,16 @@ from ..experiment import Experiment, signals_of
 from ..scenario import Disturbance, Scenario
 from .draws import drawn_record, known_within, varied
 
-SENSOR = "torque sensor"
-"""Name of the torque sensor's reading among the estimators."""
-SIZES = (0.05, 8.0)
-"""Smallest and largest drawn push [N·m], log-uniform, either sign."""
-DURATIONS = (0.1, 0.5)
-"""Shortest and longest drawn push [s], a half sine, log-uniform."""
+SENSOR = "torque sensor"  # name of the torque sensor's reading among the estimators
+SIZES = (0.05, 8.0)  # smallest and largest drawn push [N·m], log-uniform, either sign
+DURATIONS = (0.1, 0.5)  # shortest and longest drawn push [s], a half sine, log-uniform
 BY_LINK = ", by the link"
 """Suffix for the link's observer with an estimator's joint torque, if the estimator has its own external torque."""
 DEFAULT = ("augmented", "momentum", "momentum_torsion", "current", "RAREKF", "AREKF", "EKF", "model")
 """Estimators by default: fast ones, a few of each kind."""
-LARGE = 2.0
-"""Smallest push for the delay [N·m]."""
-SHARE = 0.9
-"""Share of pushes found at the smallest size."""
+LARGE = 2.0  # smallest push for the delay [N·m]
+SHARE = 0.9  # share of pushes found at the smallest size
 _PERIOD = 5.0  # s: a push in each
-_SHOWN = 8  # detectors in the `repr` of a study
 _SECOND = 1.0  # s: alarms within it count as one
 _AFTER = 0.1  # s after a push, in which it may still be found
 _BEFORE = 0.5  # s before a push, without alarm
@@ -59,22 +54,16 @@ _RIDGE = 0.002  # of the logistic slope: keeps it finite if found and missed siz
 
 @dataclass(frozen=True)
 class Detector:
-    """An estimator's external torque without and with contact.
+    """An estimator's external torque without and with contact."""
 
-    Attributes:
-        name: of the estimator.
-        quiet: Shape (runs, seconds), largest |external torque| [N·m] in each second without contact; infinite after it diverged.
-        size: Shape (runs, pushes), |torque| of pushes at their largest [N·m].
-        before: Shape (runs, pushes), largest |external torque| in the half second before.
-        rising: Shape (runs, pushes, ticks), largest |external torque| since the onset, until 0.1 s after the push.
-        untrusted: reasons of the runs without contact in which its estimate is not to be trusted (`estimator.trust`).
-    """
-
-    name: str
+    name: str  # of the estimator
+    # shape (runs, seconds), largest |external torque| [N·m] in each second without contact; infinite after it diverged
     quiet: np.ndarray
-    size: np.ndarray
-    before: np.ndarray
+    size: np.ndarray  # shape (runs, pushes), |torque| of pushes at their largest [N·m]
+    before: np.ndarray  # shape (runs, pushes), largest |external torque| in the half second before
+    # shape (runs, pushes, ticks), largest |external torque| since the onset, until 0.1 s after the push
     rising: np.ndarray
+    # reasons of the runs without contact in which its estimate is not to be trusted (`estimator.trust`)
     untrusted: tuple[str, ...] = ()
 
     @property
@@ -98,10 +87,10 @@ class Detector:
         exceeded = _exceeded(rate, len(seconds))
         return float(seconds[round(exceeded)]) if 1.0 <= exceeded < len(seconds) - 0.5 else math.nan
 
-    def thresholds(self, points: int = 40) -> np.ndarray:
-        """Return thresholds for curves, shape (≤ points,): from an alarm every other second to a single alarm."""
+    def thresholds(self) -> np.ndarray:
+        """Return thresholds for curves, shape (≤ 40,): from an alarm every other second to a single alarm."""
         seconds = np.sort(self.quiet[::2].reshape(-1))
-        above = np.unique(np.round(np.geomspace(1, len(seconds) // 2, points)).astype(int))
+        above = np.unique(np.round(np.geomspace(1, len(seconds) // 2, 40)).astype(int))
         return np.unique(seconds[len(seconds) - above][np.isfinite(seconds[len(seconds) - above])])
 
     def alarms(self, threshold: float) -> np.ndarray:
@@ -123,12 +112,9 @@ MEASURES = ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay")
 
 
 def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> dict[str, Any]:
-    """Evaluate a detector at a threshold [N·m].
-
-    Returns:
-        `estimator`, `threshold`, `MEASURES`, each with the ends `_low` and `_high` of its 95 % interval (bootstrap over runs),
-        and `reason`, which is empty if nothing is missing. Undefined numbers are None; a smallest push of None at a threshold
-        means that no size is found. `resamples` 0: no intervals.
+    """Evaluate a detector at a threshold [N·m]: `estimator`, `threshold`, `MEASURES`, each with the ends `_low` and
+    `_high` of its 95 % interval (bootstrap over runs; none without `resamples`), and `reason`, which is empty if
+    nothing is missing. Undefined numbers are None; a smallest push of None at a threshold means that no size is found.
     """
     mean, ends = [math.nan] * 4, np.full((2, 4), math.nan)
     if math.isfinite(threshold):
@@ -205,15 +191,10 @@ def _quantiles(values: np.ndarray) -> np.ndarray:
     return values[np.round(np.array([0.025, 0.975]) * (len(values) - 1)).astype(int)]
 
 
-def smallest_push(size: np.ndarray, found: np.ndarray, share: float = SHARE) -> float:
-    """Return the size [N·m] of which a share is found: logistic regression, P(found) = 1/(1 + exp(−(a + b ln size))).
-
-    Args:
-        size: Shape (n,) [N·m]. found: Shape (n,), bool.
-
-    Returns:
-        The size; infinite if it is more than twice the largest, or if larger pushes are not found more often.
-    """
+def smallest_push(size: np.ndarray, found: np.ndarray) -> float:
+    """Return the size [N·m] of which `SHARE` are found, `found` of `size`, shape (n,) each: logistic regression,
+    P(found) = 1/(1 + exp(−(a + b ln size))). Infinite if it is more than twice the largest, or if larger pushes are not
+    found more often."""
     if not found.any():
         return math.inf
     X = np.column_stack([np.ones(len(size)), np.log(size)])
@@ -228,7 +209,7 @@ def smallest_push(size: np.ndarray, found: np.ndarray, share: float = SHARE) -> 
             break
     if beta[1] <= 0.0:
         return math.inf
-    logarithm = (math.log(share / (1.0 - share)) - beta[0]) / beta[1]
+    logarithm = (math.log(SHARE / (1.0 - SHARE)) - beta[0]) / beta[1]
     return math.exp(logarithm) if logarithm <= math.log(2.0 * float(np.max(size))) else math.inf
 
 
@@ -249,13 +230,9 @@ def external(
 ) -> tuple[dict[str, np.ndarray], str | None]:
     """Return an estimator's external torques [N·m], shape (n,), by name, and the reason if it is not to be trusted.
 
-    These are its own external torque, if it has one, and that of the link's observer with its joint torque.
-
-    Args:
-        estimator: None: the torque sensor. reading: of the sensor, shape (n,) [N·m].
-
-    Raises:
-        FilterDiverged: the estimate is no longer finite.
+    These are its own external torque, if it has one, and that of the link's observer with its joint torque. Without an
+    estimator it is the torque sensor's `reading`, shape (n,) [N·m]. Raises `FilterDiverged`: the estimate is no longer
+    finite.
     """
     if estimator is None:
         p = known.p
@@ -294,8 +271,7 @@ class ContactStudy:
             return f"  tolerance ×{row['tolerance']:g}, {row['estimator']}: {push}"
 
         head = f"ContactStudy({self.scenario!r} of {self.joint}, {self.rate:g} false alarms per hour; smallest push:"
-        more = len(self.detectors) - _SHOWN
-        return "\n".join([head, *map(best, self.detectors[:_SHOWN]), f"  and {more} more)" if more > 0 else ")"])
+        return shortened(head, [best(row) for row in self.detectors])
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data without the curves."""
@@ -313,16 +289,8 @@ def study(
     threads: int = 1,
     progress: Callable[[float], None] = lambda tolerance: None,
 ) -> ContactStudy:
-    """Compare detectors at `rate` false alarms per hour, for several shares of the joint's tolerances.
-
-    Args:
-        scenario, folder, estimators, hours, threads: as of `assess`.
-        tolerances: shares of the joint's tolerances.
-        progress: called with the share after each pair of runs.
-
-    Raises:
-        InputError: as `check`.
-    """
+    """Compare detectors at `rate` false alarms per hour, for several shares of the joint's tolerances; the rest as of
+    `assess`. `progress`: called with the share after each pair of runs. Raises `InputError`: as `check`."""
     check(scenario, estimators, hours, rate, tolerances)
     detectors, curves, found = [], [], []
     for share in tolerances:
@@ -342,18 +310,8 @@ def check(
     rate: float | None = None,
     tolerances: Sequence[float] = (1.0,),
 ) -> None:
-    """Check the arguments of `study`.
-
-    Args:
-        scenario: its motion.
-        estimators: by name.
-        hours: without contact.
-        rate: false alarms per hour of a threshold, if any.
-        tolerances: shares of the joint's tolerances.
-
-    Raises:
-        InputError: a share that is negative or occurs twice, an estimator that looks ahead, torque feedback, or too little time.
-    """
+    """Check the arguments of `study`. Raises `InputError`: a share that is negative or occurs twice, an estimator that
+    looks ahead, torque feedback, or too little time."""
     shares = list(tolerances)
     if not shares or len(set(shares)) < len(shares) or not all(0 <= share <= 100 for share in shares):
         raise InputError(f"tolerance: expected shares from 0 to 100, each once, got {shares}")
@@ -395,19 +353,12 @@ def assess(
     threads: int = 1,
     progress: Callable[[], None] = lambda: None,
 ) -> list[Detector]:
-    """Draw runs without and with contact; return a detector for every external torque.
+    """Draw runs without contact for so many hours, and as many with pushes; return a detector for every external torque
+    of causal estimators and of the torque sensor. The disturbances of the scenario are not used.
 
-    Args:
-        scenario: motion, joint and sensors; its disturbances are not used. folder: of its file.
-        estimators: causal ones by name; the torque sensor is added.
-        hours: without contact; there are as many runs with pushes.
-        tolerance: share of the joint's tolerances for the draws. The estimators know the nominal numbers, their tolerances and
-            the link encoder's zero.
-        threads: runs at a time; the result does not depend on it.
-        progress: called after each pair of runs.
-
-    Raises:
-        InputError: as `check`.
+    The draws are within `tolerance` times the joint's tolerances. The estimators know the nominal numbers, their
+    tolerances and the link encoder's zero. The result does not depend on `threads`. `progress`: called after each pair
+    of runs. Raises `InputError`: as `check`.
     """
     check(scenario, estimators, hours)
     scenario = scenario.model_copy(update={"disturbances": []})

@@ -26,16 +26,11 @@ from ...sim.sensors import stream
 from ..experiment import Experiment
 from ..scenario import LAGGING, Disturbance, Scenario, Waypoint
 
-TURNS = 3.0
-"""Largest change of the start, in turns of the motor."""
-PACE = 0.15
-"""Largest relative change of the motion's duration."""
-ONSET = 0.9
-"""Largest change of a push's onset [s]."""
-SIZE = (0.5, 1.5)
-"""Range of factors on a push's size and duration."""
-LAG = 4e-3
-"""Largest lag of a drive with `sensors: realistic` [s]."""
+TURNS = 3.0  # largest change of the start, in turns of the motor
+PACE = 0.15  # largest relative change of the motion's duration
+ONSET = 0.9  # largest change of a push's onset [s]
+SIZE = (0.5, 1.5)  # range of factors on a push's size and duration
+LAG = 4e-3  # largest lag of a drive with `sensors: realistic` [s]
 
 
 def varied(scenario: Scenario, seed: int) -> Scenario:

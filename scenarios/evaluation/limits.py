@@ -25,43 +25,31 @@ from ..run import Run, simulate_scenario
 from ..scenario import Disturbance, Scenario
 from .draws import of_seed
 
-BIN = 0.1
-"""Time [s] over which errors are averaged for curves over time."""
-LAGS = 50
-"""Lags of the innovations' autocorrelation, samples."""
+BIN = 0.1  # time [s] over which errors are averaged for curves over time
+LAGS = 50  # lags of the innovations' autocorrelation, samples
 _UNSEEN = ("link_encoder_zero", "current_offset", "torque_sensor_gain", "torque_sensor_offset")
 _APART = 0.25  # s: errors this far apart count for NEES; the slowest filter forgets in a tenth of it
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """Errors and consistency of one estimator in a scenario over M seeds.
+    """Errors and consistency of one estimator in a scenario over M seeds."""
 
-    Attributes:
-        name: of the estimator. causal: whether it uses no later samples.
-        rms: Shape (M,), RMS error of each seed after the transient [N·m]; NaN where it diverged.
-        error: Shape (B,), RMS error over seeds in each time bin [N·m].
-        nis: mean normalised innovation squared with its interval; None without innovations.
-        nees: mean normalised error squared; None without a variance. Errors are correlated in time: only one per run counts as
-            independent for the interval.
-        nees_over_time: Shape (B,), mean over seeds of the NEES at one sample of each bin.
-        nees_share: share of these bins in which that mean lies within its 95 % interval.
-        autocorrelation: Shape (LAGS,), of the normalised innovations of the least white channel, mean over seeds.
-        outside: share of lags outside the band of white innovations of one run, mean over seeds; 0.05 is expected.
-        whiteness: mean over seeds of the Ljung-Box probability.
-    """
-
-    name: str
-    causal: bool
-    rms: np.ndarray
-    error: np.ndarray
-    nis: Mean | None = None
+    name: str  # of the estimator
+    causal: bool  # whether it uses no later samples
+    rms: np.ndarray  # shape (M,), RMS error of each seed after the transient [N·m]; NaN where it diverged
+    error: np.ndarray  # shape (B,), RMS error over seeds in each time bin [N·m]
+    nis: Mean | None = None  # mean normalised innovation squared with its interval; None without innovations
+    # mean normalised error squared; None without a variance. Errors are correlated in time: only one per run counts as
+    # independent for the interval.
     nees: Mean | None = None
-    nees_over_time: np.ndarray | None = None
-    nees_share: float | None = None
+    nees_over_time: np.ndarray | None = None  # shape (B,), mean over seeds of the NEES at one sample of each bin
+    nees_share: float | None = None  # share of these bins in which that mean lies within its 95 % interval
+    # shape (LAGS,), of the normalised innovations of the least white channel, mean over seeds
     autocorrelation: np.ndarray | None = None
+    # share of lags outside the band of white innovations of one run, mean over seeds; 0.05 is expected
     outside: float | None = None
-    whiteness: float | None = None
+    whiteness: float | None = None  # mean over seeds of the Ljung-Box probability
 
     @property
     def mean_rms(self) -> float:
@@ -71,37 +59,28 @@ class Assessment:
 
 @dataclass(frozen=True)
 class Limits:
-    """Estimators and the bounds in one scenario.
+    """Estimators and the bounds in one scenario."""
 
-    Attributes:
-        scenario: its name. seeds: Shape (M,). time: Shape (B,), middles of the bins [s]. transient: not part of RMS [s].
-        intensity: of the external torque's random walk in the joint's model [N·m/√s]; fitted: that of the scenario.
-        bound: Shape (B,), square root of the bound of the error variance [N·m], joint's dynamics with encoders and command.
-        bound_rms: its RMS after the transient [N·m].
-        torsion_bound, torsion_bound_rms: for the paper's model: the joint torque as a random walk of intensity
-            `torsion_intensity` [N·m/√s], fitted to it, seen through the compliance model with the encoders' noise only.
-        tolerance: share of the joint's tolerances that are the prior of `tolerance_bound`.
-        tolerance_bound, tolerance_bound_rms: for a joint that is known within its tolerances; NaN at tolerance 0.
-        band: half-width of the band of white innovations [1].
-        estimators: their assessments.
-    """
-
-    scenario: str
-    seeds: np.ndarray
-    time: np.ndarray
-    transient: float
-    intensity: float
-    fitted: float
+    scenario: str  # its name
+    seeds: np.ndarray  # shape (M,)
+    time: np.ndarray  # shape (B,), middles of the bins [s]
+    transient: float  # not part of RMS [s]
+    intensity: float  # of the external torque's random walk in the joint's model [N·m/√s]
+    fitted: float  # the scenario's own intensity [N·m/√s]
+    # shape (B,), square root of the bound of the error variance [N·m], joint's dynamics with encoders and command
     bound: np.ndarray
-    bound_rms: float
+    bound_rms: float  # its RMS after the transient [N·m]
     torsion_intensity: float
+    # torsion_bound, torsion_bound_rms: for the paper's model: the joint torque as a random walk of intensity
+    # `torsion_intensity` [N·m/√s], fitted to it, seen through the compliance model with the encoders' noise only
     torsion_bound: np.ndarray
     torsion_bound_rms: float
-    tolerance: float
+    tolerance: float  # share of the joint's tolerances that are the prior of `tolerance_bound`
+    # tolerance_bound, tolerance_bound_rms: for a joint that is known within its tolerances; NaN at tolerance 0
     tolerance_bound: np.ndarray
     tolerance_bound_rms: float
-    band: float
-    estimators: tuple[Assessment, ...]
+    band: float  # half-width of the band of white innovations [1]
+    estimators: tuple[Assessment, ...]  # their assessments
 
     def ratio(self, name: str) -> float:
         """Return the RMS error of an estimator relative to the bound."""
@@ -130,22 +109,18 @@ def assess(
     progress: Callable[[], None] = lambda: None,
     vary: bool = True,
 ) -> Limits:
-    """Run a scenario with every seed and compare every estimator with the bounds.
+    """Run a scenario with every seed and compare estimators, by name, with the bounds.
 
     Args:
-        scenario: without torque feedback, so that all estimators see the same signals.
-        folder: of the scenario's file.
-        seeds: one or more.
-        estimators: by name.
-        intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario (root mean square over seeds),
-            and at least 0.001·T2, which means a load known to 1 % after 40 s.
-        tolerance: share of the joint's tolerances that are the prior of the second bound; 0 omits it.
-        progress: called after each seed.
-        vary: whether start, pace and pushes are drawn per seed (`draws.varied`). Seeds that change the sensors' noise alone are
-            not independent, and intervals over them are wrong.
+      intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario (root mean square over seeds),
+        and at least 0.001·T2, which means a load known to 1 % after 40 s.
+      tolerance: share of the joint's tolerances that are the prior of the second bound; 0 omits it.
+      progress: called after each seed.
+      vary: whether start, pace and pushes are drawn per seed (`draws.varied`). Seeds that change the sensors' noise alone are
+        not independent, and intervals over them are wrong.
 
     Raises:
-        InputError: torque feedback, payloads, no seeds, or a joint whose bound is not defined.
+      InputError: torque feedback, payloads, no seeds, or a joint whose bound is not defined.
     """
     if len(seeds) == 0:
         raise InputError("bound: expected at least one seed, got none")
@@ -215,11 +190,8 @@ def doubtful(joint: Joint, mounting: Mounting, tolerance: float) -> np.ndarray:
 
 
 def joint_variance(run: Run, record: np.ndarray, intensity: float, others: np.ndarray | None = None) -> np.ndarray:
-    """Return the bound of the error variance along a run's truth, shape (n,) [(N·m)²].
-
-    Args:
-        record: of the plant. intensity: of the external torque [N·m/√s]. others: of `doubtful`.
-    """
+    """Return the bound of the error variance along a run's truth, shape (n,) [(N·m)²]; the arguments as of
+    `bound.joint_bound`."""
     noise = KnownJoint.of(run.joint).noise
     current, command = run.truth("motor_current"), run.simulation.command
     return bound.joint_bound(run.time, true_states(run), current, command, record, noise, intensity, others=others)

@@ -106,13 +106,11 @@ def _window(dt: float) -> int:
 
 
 def responses(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> np.ndarray:
-    """Return the time [s] from truth to estimate at 90 % of the first swing of the torque in each push.
+    """Return the time [s] from truth to estimate at 90 % of the first swing of the torque in each push, shape
+    (pushes,), of pushes that change the torque by 0.2 N·m or more; NaN if the estimate does not reach 90 %.
 
-    The swing ends at the first extremum of the true torque above half its largest change during the push. Truth and estimate
-    each start from their level before the push, the mean of 50 ms: a constant error does not count.
-
-    Returns:
-      Shape (pushes,), of pushes that change the torque by 0.2 N·m or more; NaN if the estimate does not reach 90 %.
+    The swing ends at the first extremum of the true torque above half its largest change during the push. Truth and
+    estimate each start from their level before the push, the mean of 50 ms: a constant error does not count.
     """
     found = [response(estimate, truth, dt, begin, end) for begin, end in events]
     return np.array([time for time in found if time is not None], dtype=np.float64)
@@ -139,21 +137,15 @@ def _first_peak(x: np.ndarray, height: float) -> int:
 
 @dataclass(frozen=True)
 class Reference:
-    """Reference for metrics of one run; arrays of shape (n,) [N·m].
+    """Reference for metrics of one run; arrays of shape (n,) [N·m]."""
 
-    Attributes:
-      truth, reading, raw: the noise-free Ts, the torque sensor, the raw compliance model.
-      external_torque: on the link; it defines the pushes.
-      dt: sample period [s].
-      transient: time at the start to leave out [s].
-    """
-
+    # truth, reading, raw: the noise-free Ts, the torque sensor, the raw compliance model
     truth: np.ndarray
     reading: np.ndarray
     raw: np.ndarray
-    external_torque: np.ndarray
-    dt: float
-    transient: float
+    external_torque: np.ndarray  # on the link; it defines the pushes
+    dt: float  # sample period [s]
+    transient: float  # time at the start to leave out [s]
 
     @cached_property
     def kept(self) -> np.ndarray:

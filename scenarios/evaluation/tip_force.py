@@ -23,25 +23,18 @@ from ...models.parameters import GRAVITY
 from ...models.signals import Signals
 from ...sim.loop import Simulation
 
-WRENCH = "wrench"
-"""Name of the six-axis sensor's force."""
+WRENCH = "wrench"  # name of the six-axis sensor's force
 _SEEN = 0.5  # share of the largest force above which its lever is computed
 _CUTOFF = 20.0  # Hz
 
 
 @dataclass(frozen=True)
 class TipForce:
-    """Estimates of the force at the link.
+    """Estimates of the force at the link."""
 
-    Attributes:
-        truth: Shape (n,) [N].
-        forces: by name, shape (n,) [N]: `WRENCH`, and every estimator.
-        lever: of the force by the wrench [m]: median at half of the largest force and more; NaN without a force.
-    """
-
-    truth: np.ndarray
-    forces: Mapping[str, np.ndarray]
-    lever: float
+    truth: np.ndarray  # shape (n,) [N]
+    forces: Mapping[str, np.ndarray]  # by name, shape (n,) [N]: `WRENCH`, and every estimator
+    lever: float  # of the force by the wrench [m]: median at half of the largest force and more; NaN without a force
 
     def errors(self, kept: np.ndarray) -> dict[str, float]:
         """Return the RMS error [N] by name, at some samples, shape (n,), bool."""
@@ -57,14 +50,8 @@ def tip_force(
     lever: float,
     estimates: Mapping[str, Posterior],
 ) -> TipForce:
-    """Estimate the force by the wrench and by every filter.
-
-    Args:
-        simulation: with the wrench's readings. signals: of it. known: parameters of the joint.
-        mass: of the link [kg].
-        truth: Shape (n,), the true force [N]. lever: its known lever [m].
-        estimates: by name.
-    """
+    """Estimate the force by the wrench and by every filter. `mass`: of the link [kg]; `truth`: the true force, shape
+    (n,) [N], at a known lever [m]."""
     p, time = known.p, signals.time
     angle = signals["link_position"] - p["link_zero"]
     acceleration = lowpassed(time, angle, _CUTOFF)[:, 2]

@@ -23,6 +23,7 @@ from ...estimator.estimator import Estimator
 from ...estimator.tuning_parameters import value_of, with_values
 from ...models.errors import InputError
 from ...models.files import write_text, yaml_text
+from ...models.notebook import shortened
 from ..filters import FilterEntry
 from ..run import Run, simulate_scenario
 from ..scenario import Scenario
@@ -30,37 +31,27 @@ from . import metrics
 from .draws import of_seed
 from .intervals import Interval, interval
 
-EVALUATIONS = 300
-"""Trials of an estimator; a tenth for estimators that simulate the joint."""
+EVALUATIONS = 300  # trials of an estimator; a tenth for estimators that simulate the joint
 _SCAN = 7  # values of the first parameter before the search
 _STEP = 0.08  # of a parameter's range: the first simplex
 _FAILED = 1e6  # N·m
-_SHOWN = 8  # estimators in the `repr` of a tuning
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """An estimator's tuned parameters, and its errors on training and test seeds.
+    """An estimator's tuned parameters, and its errors on training and test seeds."""
 
-    Attributes:
-        name: of the estimator.
-        default, tuned: before and after.
-        values: tuning parameters, by field.
-        train: RMS error on the training seeds, geometric mean over scenarios [N·m], default and tuned.
-        evaluations: number of trials.
-        test_default, test_tuned: Shape (scenarios, seeds), RMS errors on the test seeds [N·m].
-        at_bound: parameters at a bound of their range.
-    """
-
-    name: str
-    default: Estimator
-    tuned: Estimator
-    values: dict[str, float]
+    name: str  # of the estimator
+    default: Estimator  # before
+    tuned: Estimator  # after
+    values: dict[str, float]  # tuning parameters, by field
+    # RMS error on the training seeds, geometric mean over scenarios [N·m], default and tuned
     train: tuple[float, float]
-    evaluations: int
+    evaluations: int  # number of trials
+    # test_default, test_tuned: shape (scenarios, seeds), RMS errors on the test seeds [N·m]
     test_default: np.ndarray
     test_tuned: np.ndarray
-    at_bound: tuple[str, ...]
+    at_bound: tuple[str, ...]  # parameters at a bound of their range
 
     @property
     def default_score(self) -> float:
@@ -81,15 +72,9 @@ class Tuned:
 def simulated(
     scenarios: Sequence[tuple[Scenario, Path | None]], seeds: Sequence[int], vary: bool = True
 ) -> list[list[Run]]:
-    """Run every scenario with every seed, without estimates; return a list of runs per scenario.
-
-    Args:
-        vary: whether start, pace and pushes are drawn per seed (`draws.varied`). Otherwise all seeds have the same motion, and
-            intervals over them are wrong.
-
-    Raises:
-        InputError: no seeds; a scenario with an estimate fed back (`run.simulate_scenario`).
-    """
+    """Run every scenario with every seed, without estimates; return a list of runs per scenario. `vary`: whether start,
+    pace and pushes are drawn per seed (`draws.varied`); otherwise all seeds have the same motion, and intervals over
+    them are wrong. Raises `InputError`: no seeds; a scenario with an estimate fed back (`run.simulate_scenario`)."""
     if not seeds:
         raise InputError("tune: expected at least one seed, got none")
     return [
@@ -134,14 +119,9 @@ def tune(
     evaluations: int = EVALUATIONS,
     threads: int = 1,
 ) -> Tuned:
-    """Tune an estimator on training runs and evaluate it on test runs.
-
-    Args:
-        estimator: with its defaults; without tuning parameters it is only evaluated.
-        train, test: runs by scenario (`simulated`).
-        evaluations: about the number of trials; a tenth for estimators that simulate the joint.
-        threads: runs at a time; the result does not depend on it.
-    """
+    """Tune an estimator on training runs, from its defaults, and evaluate it on test runs (`simulated`); without tuning
+    parameters it is only evaluated. `evaluations`: about the number of trials, a tenth for estimators that simulate the
+    joint; the result does not depend on `threads`."""
     tuning = estimator.tuning
     budget = max(evaluations // 10, 2 * len(tuning) + 2) if estimator.costly else evaluations
     tried: dict[tuple[float, ...], float] = {}
@@ -203,18 +183,12 @@ def _search(
 
 @dataclass(frozen=True)
 class Front:
-    """Settings of an estimator that no other setting beats in both noise and delay.
+    """Settings of an estimator that no other setting beats in both noise and delay."""
 
-    Attributes:
-        name: of the estimator.
-        points: Shape (P, 2), delay to a push [ms], noise in steady state [N·m]; by delay.
-        settings: the tuning parameters of each point.
-        default, tuned: delay and noise of the defaults, and of the tuned estimator, if any.
-    """
-
-    name: str
-    points: np.ndarray
-    settings: tuple[dict[str, float], ...]
+    name: str  # of the estimator
+    points: np.ndarray  # shape (P, 2), delay to a push [ms], noise in steady state [N·m]; by delay
+    settings: tuple[dict[str, float], ...]  # the tuning parameters of each point
+    # default, tuned: delay and noise of the defaults, and of the tuned estimator, if any
     default: tuple[float, float]
     tuned: tuple[float, float] | None = None
 
@@ -251,15 +225,11 @@ def undominated(points: np.ndarray) -> np.ndarray:
 def pareto(
     estimator: Estimator, runs: Sequence[Run], tuned: Estimator | None = None, count: int = 96, threads: int = 1
 ) -> Front:
-    """Sweep an estimator's tuning parameters and return the front of noise against delay.
+    """Sweep an estimator's tuning parameters over runs with pushes, and return the front of noise against delay.
 
-    A third of the settings vary the first parameter alone, over its whole range. The rest is a Halton sequence over all
-    parameters. Estimators that simulate the joint get a sixteenth of the settings.
-
-    Args:
-        estimator: with its defaults. runs: with pushes.
-        tuned: the estimator after `tune`; the sweep of the first parameter keeps its other parameters.
-        count: settings; threads: runs at a time.
+    A third of the `count` settings vary the first parameter alone, over its whole range, with the other parameters of
+    `tuned`. The rest is a Halton sequence over all parameters. Estimators that simulate the joint get a sixteenth of
+    the settings.
     """
     tuning, base = estimator.tuning, tuned or estimator
     count = max(count // 16, 4) if estimator.costly else count
@@ -317,9 +287,8 @@ class Tuning:
             values = ", ".join(f"{name} {value:.3g}" for name, value in one.values.items()) or "no parameters"
             return f"  {one.name}: {one.default_score:.3g} -> {one.tuned_score:.3g} N·m; {values}"
 
-        lines, more = [line(one) for one in self.tuned.values()], len(self.tuned) - _SHOWN
         head = f"Tuning({', '.join(self.scenarios)}; RMS error on test seeds, default -> tuned:"
-        return "\n".join([head, *lines[:_SHOWN], f"  and {more} more)" if more > 0 else ")"])
+        return shortened(head, [line(one) for one in self.tuned.values()])
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of `tuned.yaml`: estimators as a scenario's `filters`, and their RMS errors [N·m]."""
@@ -350,18 +319,15 @@ def tune_all(
     threads: int = 1,
     progress: Callable[[int, str], None] = lambda done, name: None,
 ) -> Tuning:
-    """Tune estimators on the training seeds of scenarios, and evaluate them on the test seeds.
+    """Tune estimators on the training seeds of scenarios, all together, and evaluate them on the test seeds.
 
     Args:
-        estimators: by name, with their defaults.
-        scenarios: with the folders of their files; one tuning serves all of them.
-        train, test: seeds, none in both.
-        evaluations, threads: as of `tune`; vary: as of `simulated`.
-        fronts: whether to sweep noise against delay on the test runs of the first scenario with pushes.
-        progress: called with the number of tuned estimators and the name of the next one.
+      evaluations, threads: as of `tune`; vary: as of `simulated`.
+      fronts: whether to sweep noise against delay on the test runs of the first scenario with pushes.
+      progress: called with the number of tuned estimators and the name of the next one.
 
     Raises:
-        InputError: a seed in both; no seeds; a scenario with an estimate fed back.
+      InputError: a seed in both; no seeds; a scenario with an estimate fed back.
     """
     check_seeds(train, test)
     train_runs, test_runs = (simulated(scenarios, some, vary) for some in (train, test))

@@ -19,17 +19,13 @@ from .dataset import Chunk
 from .design import Design
 from .rows import Done, compute
 
-_ATTEMPTS = 20
-"""Workers that may be lost with a chunk before the sweep ends."""
+_ATTEMPTS = 20  # workers that may be lost with a chunk before the sweep ends
 _PATIENCE = 20  # s
 
 
 def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
-    """Yield chunks with their rows as they finish; few are submitted at a time.
-
-    Raises:
-      InputError: Dask is not installed, there is no scheduler at the address, or workers cannot compute.
-    """
+    """Yield chunks with their rows as they finish; few are submitted at a time. Raises `InputError`: Dask is not
+    installed, there is no scheduler at the address, or workers cannot compute."""
     try:
         from distributed import CancelledError, Client, KilledWorker, as_completed
     except ImportError as error:

@@ -33,8 +33,7 @@ try:
 except ImportError:  # no such locks on Windows
     fcntl = None  # type: ignore[assignment]
 
-_LARGEST_NOTE = 1_000_000_000
-"""Largest size of a note in bytes; it lists every seed."""
+_LARGEST_NOTE = 1_000_000_000  # largest size of a note in bytes; it lists every seed
 _PART = re.compile(r"^runs-(\d+)-(\d+)\.parquet$")
 
 
@@ -56,17 +55,9 @@ class Dataset:
 
     @classmethod
     def open(cls, folder: Path, design: Design, versions: dict[str, str], source: str = "") -> Dataset:
-        """Make the folder, or continue one of the same study, possibly with more seeds.
-
-        Args:
-          folder: of the dataset.
-          design: of the study.
-          versions: of the packages that compute it.
-          source: name of the shipped study, or path of its file, relative to the folder; empty if unknown.
-
-        Raises:
-          InputError: a folder with other content, of another study, or of other versions.
-        """
+        """Make a study's folder, or continue one of the same study, possibly with more seeds. `versions`: of the
+        packages that compute it; `source`: name of the shipped study, or path of its file relative to the folder, or
+        empty. Raises `InputError`: a folder with other content, of another study, or of other versions."""
         note = folder / "study.json"
         study = design.study.model_dump(mode="json")
         seeds = list(design.study.seed_list)
@@ -104,11 +95,8 @@ class Dataset:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold an exclusive lock on the folder, until the process ends at the latest.
-
-        Raises:
-          InputError: another process holds it.
-        """
+        """Hold an exclusive lock on the folder, until the process ends at the latest. Raises `InputError`: another
+        process holds it."""
         with (self.folder / "lock").open("w") as file:
             try:
                 if fcntl is not None:
@@ -139,11 +127,8 @@ class Dataset:
         return sorted(found)
 
     def gaps(self, cell: int) -> list[tuple[int, int]]:
-        """Return the missing runs of a cell as intervals; damaged files are removed.
-
-        Raises:
-          InputError: a file that cannot be read now, but may be complete.
-        """
+        """Return the missing runs of a cell as intervals; damaged files are removed. Raises `InputError`: a file that
+        cannot be read now, but may be complete."""
         found, at, total = [], 0, len(self.design.study.seed_list)
         for begin, end, path in self.parts(cell):
             if path not in self._whole:
@@ -206,11 +191,8 @@ def _is_whole(path: Path) -> bool:
 
 def read_values(folder: Path, study: Study) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
     """Return the first metric of all rows of a sweep's folder, with their seeds: scenario → filter → values and seeds,
-    shape (n,) each, ascending, without failed runs.
-
-    Raises:
-      InputError: a file with other content, or with filters that the study does not have.
-    """
+    shape (n,) each, ascending, without failed runs. Raises `InputError`: a file with other content, or with filters
+    that the study does not have."""
     metric = study.metrics[0]
     columns = pa.schema([("seed", pa.int64()), ("filter", pa.string()), (metric, pa.float64())])
     found: dict[str, dict[str, list[pa.Table]]] = {}
@@ -229,10 +211,7 @@ def read_values(folder: Path, study: Study) -> dict[str, dict[str, tuple[np.ndar
 
 def read_note(note: Path) -> dict[str, Any]:
     """Read the note of a dataset: `study`, `digest`, `versions`, `seeds`, and `source` if known (`Dataset.open`).
-
-    Raises:
-      InputError: a file with other content.
-    """
+    Raises `InputError`: a file with other content."""
     before = read_json(note, "the note of a sweep", _LARGEST_NOTE)
     kinds = {"digest": str, "versions": dict, "seeds": list, "study": dict}
     of_its_kind = isinstance(before, dict) and all(isinstance(before.get(key), kind) for key, kind in kinds.items())

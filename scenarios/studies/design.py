@@ -35,17 +35,11 @@ from .study import CauseAxis, LoadAxis, ScaleAxis, SettingAxis, Study, Tolerance
 
 @dataclass(frozen=True)
 class Cell:
-    """A scenario at a point of the axes that concern the plant.
+    """A scenario at a point of the axes that concern the plant."""
 
-    Attributes:
-      index: its number.
-      scenario: its name in the study.
-      columns: axis → value.
-    """
-
-    index: int
-    scenario: str
-    columns: dict[str, Value]
+    index: int  # its number
+    scenario: str  # its name in the study
+    columns: dict[str, Value]  # axis → value
 
 
 @dataclass(frozen=True)
@@ -59,25 +53,17 @@ class Variant:
 
 @dataclass(frozen=True)
 class Design:
-    """A study with all its files loaded; it can be sent to other processes.
+    """A study with all its files loaded; it can be sent to other processes."""
 
-    Attributes:
-      study: the study.
-      scenarios: name in the study → (data of the scenario with the study's changes, folder of its file).
-      digest: hash of everything that determines the rows, without the seeds.
-    """
-
-    study: Study
+    study: Study  # the study
+    # name in the study → (data of the scenario with the study's changes, folder of its file)
     scenarios: dict[str, tuple[dict[str, Any], str]]
-    digest: str
+    digest: str  # hash of everything that determines the rows, without the seeds
 
     @classmethod
     def of(cls, study: Study, folder: Path = Path()) -> Design:
-        """Load the scenarios, and check that every cell can run.
-
-        Raises:
-          InputError: a wrong scenario, key, joint or cause.
-        """
+        """Load the scenarios, and check that every cell can run. Raises `InputError`: a wrong scenario, key, joint or
+        cause."""
         scenarios = {}
         for choice in study.scenarios:
             local = folder / choice.scenario

@@ -21,8 +21,7 @@ from ..run import reference_of
 from .dataset import Chunk
 from .design import Cell, Design
 
-Done = Generator[tuple[Chunk, pa.Table], None, None]
-"""Chunks with their rows, as they finish."""
+Done = Generator[tuple[Chunk, pa.Table], None, None]  # chunks with their rows, as they finish
 
 
 @cache
@@ -32,11 +31,8 @@ def versions() -> dict[str, str]:
 
 
 def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -> pa.Table | None:
-    """Compute the rows of a chunk, which are runs of one cell; None when `stop` is set.
-
-    Raises:
-      InputError: a scenario that cannot run.
-    """
+    """Compute the rows of a chunk, which are runs of one cell; None when `stop` is set. Raises `InputError`: a scenario
+    that cannot run."""
     cell = design.cells[chunk.cell]
     experiment = design.experiment(cell)
     model = experiment.build()

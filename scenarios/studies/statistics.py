@@ -27,25 +27,18 @@ _ENDS = ("mean", "low", "high")
 
 @dataclass(frozen=True)
 class Aggregate:
-    """The metrics of a filter at a point of a study.
+    """The metrics of a filter at a point of a study."""
 
-    Attributes:
-      scenario: its name.
-      columns: axis → value, of the plant's and of the filter's axes; of axes that vary the reference only, the value of the
-        reference that it is compared with.
-      filter: its name.
-      runs, failed: number of runs, and of those without metrics (diverged).
-      values: metric → mean over seeds.
-      differences: metric → mean of this filter minus the reference, on the same runs.
-    """
-
-    scenario: str
+    scenario: str  # its name
+    # axis → value, of the plant's and of the filter's axes; of axes that vary the reference only, the value of the
+    # reference that it is compared with
     columns: dict[str, Value | None]
-    filter: str
+    filter: str  # its name
+    # runs, failed: number of runs, and of those without metrics (diverged)
     runs: int
     failed: int
-    values: dict[str, Interval]
-    differences: dict[str, Interval]
+    values: dict[str, Interval]  # metric → mean over seeds
+    differences: dict[str, Interval]  # metric → mean of this filter minus the reference, on the same runs
 
 
 def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
@@ -118,11 +111,7 @@ def write_csv(aggregates: list[Aggregate], design: Design, path: Path, digits: i
 
 
 def read_csv(path: Path, study: Study) -> list[Aggregate]:
-    """Read the aggregates of `write_csv`.
-
-    Raises:
-      InputError: a file with other content.
-    """
+    """Read the aggregates of `write_csv`. Raises `InputError`: a file with other content."""
     import pandas as pd
 
     def cells(row: dict[Any, Any], kind: str, n: int) -> dict[str, Interval]:

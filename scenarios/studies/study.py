@@ -278,10 +278,7 @@ def shipped_studies() -> dict[str, Path]:
 
 
 def load_study(source: str | Path) -> tuple[Study, Path]:
-    """Load a shipped study by its name, or a YAML file; return it with the folder of its file.
-
-    Raises:
-      InputError: an unknown or wrong study.
-    """
+    """Load a shipped study by its name, or a YAML file; return it with the folder of its file. Raises `InputError`: an
+    unknown or wrong study."""
     path = find(source, shipped_studies(), "study")
     return load(path, Study, "a study"), path.parent

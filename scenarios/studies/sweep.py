@@ -58,11 +58,10 @@ def sweep(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda runs: None,
 ) -> None:
-    """Compute the missing rows of a dataset and write them at once. It may be interrupted at any time, and called again.
+    """Compute the missing rows of a study's dataset and write them at once. It may be interrupted at any time, and
+    called again.
 
     Args:
-      design: the study.
-      dataset: of this study.
       jobs: threads; on a cluster, twice the cluster's threads are submitted.
       chunk: runs per chunk and file; by default as many as keep all jobs busy.
       scheduler: address of a Dask scheduler, to compute on its workers.

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...models.files import parse
+from ...models.notebook import shortened
 from .dataset import Dataset
 from .design import Design
 from .rows import versions
@@ -18,8 +19,6 @@ from .worst import WorstRun, worst_runs
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_SHOWN = 6  # aggregates in the `repr`
 
 
 @dataclass(frozen=True)
@@ -65,22 +64,13 @@ class Swept:
             point = ", ".join([one.scenario, *(f"{k}={v}" for k, v in one.columns.items() if v is not None)])
             return f"  {point}, {one.filter}: {one.values[metric].mean:.4g}"
 
-        more = len(self.aggregates) - _SHOWN
         head = f"Swept({self.study.name!r} in {self.folder}, {self.dataset.design.runs} runs; mean {metric}:"
-        lines = [line(one) for one in self.aggregates[:_SHOWN]]
-        return "\n".join([head, *lines, f"  and {more} more)" if more > 0 else ")"])
+        return shortened(head, [line(one) for one in self.aggregates], most=6)
 
 
 def open_study(source: str | Path | Mapping[str, Any], out: Path, seeds: int | None = None) -> Dataset:
-    """Load a study, and make its dataset or continue it.
-
-    Args:
-      source: name of a shipped study, path of a YAML file, or its content.
-      out: folder of the dataset.
-      seeds: number of seeds, instead of the study's.
-
-    Raises:
-      InputError: a wrong study, or a folder with other content.
+    """Load a study (a shipped name, a YAML file, or its content), and make its dataset in a folder or continue it;
+    `seeds`: their number, instead of the study's. Raises `InputError`: a wrong study, or a folder with other content.
     """
     if isinstance(source, Mapping):
         study, folder, place = parse(dict(source), Study, "study"), Path(), ""

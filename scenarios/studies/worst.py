@@ -12,18 +12,13 @@ from .dataset import Dataset
 
 @dataclass(frozen=True)
 class WorstRun:
-    """The run with the largest value of a metric in a scenario.
+    """The run with the largest value of a metric in a scenario."""
 
-    Attributes:
-      scenario: its name in the study. filter: its name. seed: of the study. value: of the metric.
-      again: the scenario to run again; None if the plant's parameters were drawn.
-    """
-
-    scenario: str
-    filter: str
-    seed: int
-    value: float
-    again: Scenario | None
+    scenario: str  # its name in the study
+    filter: str  # its name
+    seed: int  # of the study
+    value: float  # of the metric
+    again: Scenario | None  # the scenario to run again; None if the plant's parameters were drawn
 
 
 def worst_runs(dataset: Dataset, metric: str) -> list[WorstRun]:

@@ -21,11 +21,8 @@ if TYPE_CHECKING:
 
 
 def save_figures(run: Run, folder: Path) -> list[Path]:
-    """Write a run's figures as PNG into a folder, which is made if it does not exist; return their paths.
-
-    Raises:
-      InputError: the folder cannot be written.
-    """
+    """Write a run's figures as PNG into a folder, which is made if it does not exist; return their paths. Raises
+    `InputError`: the folder cannot be written."""
     from .sheet import save
 
     return [save(make(run), Path(folder) / f"{name}.png") for name, make in chosen(run).items()]

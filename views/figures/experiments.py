@@ -20,8 +20,7 @@ from .zoom import window, zoomed
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
-PAPER_LIMIT = 0.1
-"""The paper's limit of the difference between estimate and sensor without load [N·m]."""
+PAPER_LIMIT = 0.1  # the paper's limit of the difference between estimate and sensor without load [N·m]
 
 
 @ruled

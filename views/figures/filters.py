@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..posteriors import innovations, settled, switching
+from ..posteriors import SHARE_WINDOW, innovations, settled, switching
 from ..series import share
 from ..style import filter_colors
 from .legends import legend
 from .ruling import decades, ruled
 from .sheet import sheet
-from .signals import SHARE_WINDOW, line, mode, period
+from .signals import line, mode, period
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run

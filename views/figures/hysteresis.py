@@ -17,8 +17,7 @@ from .signals import peak
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
-POINTS = 6000
-"""Largest number of points of the loop, which cannot be drawn as an envelope."""
+POINTS = 6000  # largest number of points of the loop, which cannot be drawn as an envelope
 
 
 @ruled

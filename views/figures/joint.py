@@ -28,16 +28,9 @@ _COLUMN = 118  # characters of the last panel's text
 def joint_figure(
     joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str]], sheet_of_gear: GearSheet | None = None
 ) -> Figure:
-    """Draw a joint.
-
-    Args:
-      joint: the description; c: its characteristics (`models.characteristics`).
-      seen: causes by the channels that a diagnosis needs to detect them.
-      sheet_of_gear: its running torques and efficiencies are drawn, each with the joint's curve at its temperature or speed.
-
-    Returns:
-      A figure with bands of one standard deviation of the tolerances.
-    """
+    """Draw a joint by its characteristics `c`, with bands of one standard deviation of the tolerances. `seen`: causes
+    by the channels that a diagnosis needs to detect them; `sheet_of_gear`: its running torques and efficiencies are
+    drawn, each with the joint's curve at its temperature or speed."""
     rated = joint.numbers["rated_torque"].value
     caption = (
         "Bands and bars: one standard deviation of the description's tolerances. Torsion with the rotor locked; friction "

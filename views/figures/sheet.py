@@ -47,14 +47,11 @@ STYLE: dict[Any, Any] = {
 }
 """One style for all figures."""
 
-WIDTH = 8.6
-"""Width of a figure [in]."""
+WIDTH = 8.6  # width of a figure [in]
 LEFT, RIGHT, TOP, GAP, BELOW = 0.82, 0.14, 0.62, 0.34, 0.52
 """Margins [in]: left and right of the panels, above them, between them (a legend's row), and below for an axis label."""
-BETWEEN = 0.78
-"""Horizontal distance [in] between two panels."""
-PIXELS = round((WIDTH - LEFT - RIGHT) * _DPI)
-"""Columns of pixels of a panel that has the whole width."""
+BETWEEN = 0.78  # horizontal distance [in] between two panels
+PIXELS = round((WIDTH - LEFT - RIGHT) * _DPI)  # columns of pixels of a panel that has the whole width
 _CAPTION, _LINE = 8.2, 0.165  # size [pt], height of a line [in]
 _COMPRESSION = 3  # of 9: higher levels are slow and gain little
 
@@ -74,13 +71,7 @@ def styled(make: Callable[P, F]) -> Callable[P, F]:
 
 
 def blank(title: str, caption: str, height: float) -> Figure:
-    """Return a figure without panels.
-
-    Args:
-      title: above, on the left.
-      caption: below, wrapped.
-      height: above the caption [in], from the upper edge.
-    """
+    """Return a figure without panels: a title above, a wrapped caption below a height [in]."""
     lines = textwrap.wrap(" ".join(caption.split()).replace(" -", " −"), 132)
     total = height + _LINE * len(lines) + 0.16
     figure = Figure(figsize=(WIDTH, total))
@@ -108,19 +99,9 @@ def sheet(
     right: float = RIGHT,
     shared: Sequence[int] | None = None,
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with rows of panels.
-
-    Args:
-      title: above, on the left.
-      caption: below, wrapped.
-      heights: of the rows of panels [in].
-      columns: panels in a row.
-      right: margin on the right [in], for an axis there.
-      shared: rows that share the horizontal axis with the one below them; all but the last by default.
-
-    Returns:
-      The figure and its panels by row.
-    """
+    """Return a figure with rows of panels, and the panels by row. `heights`: of the rows [in]; `right`: margin [in],
+    for an axis there; `shared`: rows that share the horizontal axis with the one below them, all but the last by
+    default."""
     shared = range(len(heights) - 1) if shared is None else shared
     gaps = [*(GAP if row in shared else GAP + BELOW - 0.1 for row in range(len(heights) - 1)), BELOW]
     figure = blank(title, caption, TOP + sum(heights) + sum(gaps))
@@ -143,11 +124,7 @@ def sheet(
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG, moved into place when complete.
-
-    Raises:
-      InputError: the file cannot be written.
-    """
+    """Write a figure as PNG, moved into place when complete. Raises `InputError`: the file cannot be written."""
     with matplotlib.rc_context(STYLE), write_into_place(path) as temporary:
         canvas = figure.canvas
         assert isinstance(canvas, FigureCanvasAgg)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..posteriors import modes, settled
+from ..posteriors import SHARE_WINDOW, modes, settled
 from ..series import envelope, extremes, share
 from ..style import SENSOR, TRUTH, filter_colors, main_filter
 from .sheet import PIXELS
@@ -16,8 +16,6 @@ from .sheet import PIXELS
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
-SHARE_WINDOW = 0.25
-"""Window [s] over which the working mode is shown as a share of the time."""
 _DENSE = 8  # samples per column of pixels above which a noisy line is drawn as a band
 _NOISY = 60.0  # sum of changes relative to the range above which a line is noisy
 

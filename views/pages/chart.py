@@ -29,27 +29,19 @@ class Tick:
 
 @dataclass
 class Chart:
-    """Axes in data units with marks, which the template clips to the axes.
+    """Axes in data units with marks, which the template clips to the axes."""
 
-    Attributes:
-      x, y: limits of the data.
-      title, xlabel, ylabel: texts, with units.
-      accent: whether the chart is framed.
-      labels: positions and texts of the ticks below, instead of numbers.
-      width, height: of the whole chart [px]; it is scaled on the page.
-      marks: drawn so far.
-    """
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-    title: str = ""
-    xlabel: str = ""
-    ylabel: str = ""
-    accent: bool = False
-    labels: Sequence[tuple[float, str]] = ()
+    x: tuple[float, float]  # limits of the data
+    y: tuple[float, float]  # the same
+    title: str = ""  # texts, with units
+    xlabel: str = ""  # texts, with units
+    ylabel: str = ""  # texts, with units
+    accent: bool = False  # whether the chart is framed
+    labels: Sequence[tuple[float, str]] = ()  # positions and texts of the ticks below, instead of numbers
+    # width, height: of the whole chart [px]; it is scaled on the page
     width: int = 320
     height: int = 186
-    marks: list[Mark] = field(default_factory=list)
+    marks: list[Mark] = field(default_factory=list)  # drawn so far
 
     left, right, top, bottom = 54, 6, 22, 34
 

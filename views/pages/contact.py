@@ -24,22 +24,16 @@ MEASURES = ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay")
 _NUMBERS = (
     "tolerance", "threshold", "false_alarms_per_hour", "smallest_push", "found_of_large", "delay_ms", "hours", "runs",
 )  # fmt: skip
-_STATED = ("tolerance", "hours", "runs")
-"""Numbers that every row has; the others may be undefined."""
+_STATED = ("tolerance", "hours", "runs")  # numbers that every row has; the others may be undefined
 _DECADES = (0.1, 1, 10, 100, 1000, 10_000)
 
-SENSOR = "torque sensor"
-"""The detector without an estimator."""
+SENSOR = "torque sensor"  # the detector without an estimator
 
 Row = Mapping[str, Any]
 
 
 def read_curves(path: Path) -> list[dict[str, Any]]:
-    """Read the rows of `contact.csv`; undefined measures are NaN.
-
-    Raises:
-      InputError: a file with other content.
-    """
+    """Read the rows of `contact.csv`; undefined measures are NaN. Raises `InputError`: a file with other content."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows: list[dict[str, Any]] = [
@@ -59,11 +53,7 @@ def read_curves(path: Path) -> list[dict[str, Any]]:
 
 
 def read_answer(path: Path) -> dict[str, Any]:
-    """Read `contact.json`.
-
-    Raises:
-      InputError: a file with other content.
-    """
+    """Read `contact.json`. Raises `InputError`: a file with other content."""
     answer = read_json(path, "the answer of flexspline contact")
     check_format(answer, path)
     try:
@@ -85,13 +75,8 @@ def read_answer(path: Path) -> dict[str, Any]:
 
 
 def contact_html(answer: Mapping[str, Any], rows: Sequence[Row], folder: Path) -> str:
-    """Return the page as text: one file without references to others.
-
-    Args:
-      answer: of `read_answer`, with the numbers.
-      rows: of `read_curves`, for the charts.
-      folder: of both.
-    """
+    """Return the page as text, one file without references to others, by the `answer` of `read_answer` and the `rows`
+    of `read_curves` in a folder."""
     names = list(dict.fromkeys(str(row["estimator"]) for row in answer["detectors"]))
     kinds = line_kinds([name for name in names if name != SENSOR]) | {SENSOR: "measured"}
     parts = list(titles(answer))

@@ -43,10 +43,8 @@ if TYPE_CHECKING:
     from ...diagnosis.data.mistakes import Mistake
     from ...diagnosis.search.explore import Decision
 
-NOISY = 1.6
-"""A residual this many times its noise is more than noise."""
-SHOWN = 4
-"""Number of calibrated numbers that the head of the page lists."""
+NOISY = 1.6  # A residual this many times its noise is more than noise
+SHOWN = 4  # number of calibrated numbers that the head of the page lists
 
 
 @dataclass(frozen=True)
@@ -70,11 +68,7 @@ class Compared:
 
 
 def write_report(report: Report, path: Path) -> Path:
-    """Write the page, moved into place when it is complete.
-
-    Raises:
-      InputError: the file cannot be written.
-    """
+    """Write the page, moved into place when it is complete. Raises `InputError`: the file cannot be written."""
     write_text(path, html(report))
     return path
 

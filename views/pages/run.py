@@ -28,20 +28,15 @@ if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 _WIDTH = 540
-_NEAR = 1.25
-"""Errors within this ratio are equal, as the noise of a run is drawn once."""
+_NEAR = 1.25  # errors within this ratio are equal, as the noise of a run is drawn once
 
 
 def runs_html(
     runs: Sequence[tuple[Run, Path]], arm: Path | None = None, responses: Sequence[Response | None] = ()
 ) -> str:
-    """Return the page as text: one file without references to others.
-
-    Args:
-      runs: with their folders, each of another scenario.
-      arm: folder of an arm's run, if `runs` are its joints, from the base to the tip.
-      responses: frequency response of each run; None without enough excitation.
-    """
+    """Return the page as text, one file without references to others. `runs`: with their folders, each of another
+    scenario; `arm`: folder of an arm's run, if they are its joints; `responses`: frequency response of each, None
+    without enough excitation."""
     return render("run.html.j2", _context(runs, arm, responses or [None] * len(runs)))
 
 

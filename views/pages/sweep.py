@@ -36,12 +36,10 @@ def sweep_html(
     worst: Sequence[Path] = (),
     values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]] = MappingProxyType({}),
 ) -> str:
-    """Return the page as text: one file without references to others.
+    """Return the page as text, one file without references to others.
 
     Args:
-      study: of the sweep. found: its aggregates.
       versions, digest: of the packages, and of the study.
-      folder: of the dataset.
       source: name or path of the study for `flexspline sweep`; empty if unknown.
       worst: files of the run with the largest first metric of each scenario.
       values: scenario → filter → first metric of all runs, ascending, and their seeds, shape (n,) each.

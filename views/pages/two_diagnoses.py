@@ -23,23 +23,16 @@ from .rendering import render
 
 _DELAYS = ("current_delay", "torque_sensor_delay")
 """Delays of sensors that a diagnosis finds, by their names in its answer."""
-MOVED = 3.0
-"""A number has moved if it differs by more than so many standard deviations."""
+MOVED = 3.0  # A number has moved if it differs by more than so many standard deviations
 
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """A diagnosis from its folder.
+    """A diagnosis from its folder."""
 
-    Attributes:
-      folder: of the diagnosis.
-      answer: `diagnosis.json`.
-      joint: `joint.yaml`, the extended joint.
-    """
-
-    folder: Path
-    answer: dict[str, Any]
-    joint: Joint
+    folder: Path  # of the diagnosis
+    answer: dict[str, Any]  # `diagnosis.json`
+    joint: Joint  # `joint.yaml`, the extended joint
 
     @property
     def causes(self) -> dict[tuple[str | float, ...], dict[str, Any]]:
@@ -68,11 +61,7 @@ class NumberChange:
 
 
 def read_diagnosis(folder: Path) -> Diagnosed:
-    """Read a diagnosis from its folder.
-
-    Raises:
-      InputError: a folder without a diagnosis.
-    """
+    """Read a diagnosis from its folder. Raises `InputError`: a folder without a diagnosis."""
     path = folder / "diagnosis.json"
     answer = read_json(path, "a diagnosis")
     check_format(answer, path)
@@ -128,11 +117,7 @@ def _title(cause: dict[str, Any]) -> str:
 
 
 def two_html(before: Diagnosed, after: Diagnosed) -> str:
-    """Return the page as text: one file without references to others.
-
-    Raises:
-      InputError: diagnoses of two joints.
-    """
+    """Return the page as text: one file without references to others. Raises `InputError`: diagnoses of two joints."""
     if before.joint.name != after.joint.name:
         raise InputError(
             f"{after.folder}: expected a diagnosis of {before.joint.name}, as {before.folder}, got one of {after.joint.name}"

@@ -23,36 +23,25 @@ from .provenance import file_digest
 from .rendering import render
 from .residual_charts import Group
 
-HELD = 0.9
-"""A description holds for a channel if this share of the samples in motion is inside the 95 % band."""
+HELD = 0.9  # A description holds for a channel if this share of the samples in motion is inside the 95 % band
 _CLEARLY = 2.0
 """An error of more than so many times the sensors' noise has a cause that could be found, also inside the band."""
-_WORSE = 1.3
-"""A region with more than so many times the error of all motion is reported as the worst."""
+_WORSE = 1.3  # A region with more than so many times the error of all motion is reported as the worst
 
 
 @dataclass(frozen=True)
 class Validated:
-    """A validation from its folder.
+    """A validation from its folder."""
 
-    Attributes:
-      folder: of the validation.
-      answer: `validation.json`.
-      tables: columns of each recording by its name, shape (n,) each: `time`, and of every channel `<channel>`,
-        `<channel>_simulated`, `<channel>_low`, `<channel>_high`.
-    """
-
-    folder: Path
-    answer: dict[str, Any]
+    folder: Path  # of the validation
+    answer: dict[str, Any]  # `validation.json`
+    # columns of each recording by its name, shape (n,) each: `time`, and of every channel `<channel>`,
+    # `<channel>_simulated`, `<channel>_low`, `<channel>_high`
     tables: dict[str, dict[str, np.ndarray]]
 
 
 def read_validation(folder: Path) -> Validated:
-    """Read a validation from its folder.
-
-    Raises:
-      InputError: a folder without a validation, or with other tables.
-    """
+    """Read a validation from its folder. Raises `InputError`: a folder without a validation, or with other tables."""
     path = folder / "validation.json"
     answer = read_json(path, "a validation")
     check_format(answer, path)

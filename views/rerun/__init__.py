@@ -10,9 +10,4 @@ from .live import LiveRecording
 from .overlay import write_rerun_overlay
 from .run import write_rerun
 
-__all__ = [
-    "LiveRecording",
-    "write_rerun",
-    "write_rerun_overlay",
-    "write_rerun_report",
-]
+__all__ = ["LiveRecording", "write_rerun", "write_rerun_overlay", "write_rerun_report"]

@@ -8,10 +8,8 @@ import rerun as rr
 from ..style import EXTERNAL
 from .recording import is_new, rgb
 
-DEGREES_PER_TORQUE = 12.0
-"""Length of the torque arrows around the axis [°/(N·m)]."""
-FORCE_SCALE = 0.012
-"""Length of the arrow of the external force at the link's tip [m/N]."""
+DEGREES_PER_TORQUE = 12.0  # length of the torque arrows around the axis [°/(N·m)]
+FORCE_SCALE = 0.012  # length of the arrow of the external force at the link's tip [m/N]
 _LARGEST_ARC = 300.0  # °
 _ARC_POINTS = 25
 
@@ -26,14 +24,8 @@ def send_arc(
     axis: np.ndarray,
     color: str,
 ) -> None:
-    """Send a torque as a curved arrow around the joint's axis that begins above it.
-
-    Args:
-      torque: shape (f,) [N·m].
-      radius, front: of the arc, and its position on the axis [m].
-      axis: of the joint, right-handed.
-      color: `#RRGGBB`.
-    """
+    """Send a torque, shape (f,) [N·m], as a curved arrow around the joint's right-handed axis that begins above it;
+    `radius`, `front`: of the arc, and its position on the axis [m]."""
     up = np.array([0.0, 0.0, 1.0])
     side, place = np.cross(axis, up), front * axis
     swept = np.radians(np.clip(DEGREES_PER_TORQUE * torque, -_LARGEST_ARC, _LARGEST_ARC))

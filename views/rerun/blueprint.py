@@ -8,24 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun.blueprint as rrb
 
-from ..posteriors import innovations
+from ..posteriors import SHARE_WINDOW, innovations, settled
 from ..style import main_filter
 from .recording import SHARED_TIME, layout, series_view
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
-SHARE_WINDOW = 0.25
-"""Window [s] of the share of the time in robust mode."""
-
 
 def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
-    """Return the layout of a run.
-
-    Args:
-      run: the run.
-      reach: of the link [m], for the camera.
-    """
+    """Return the layout of a run; `reach`: of the link [m], for the camera."""
     names = list(run.estimates)
     limits = _error_limits(run, main_filter(names))
     pushed = bool(np.any(run.external_torque))
@@ -33,20 +25,10 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
 
 
 def run_panels(
-    names: Sequence[str],
-    stated: Collection[str],
-    pushed: bool,
-    reach: float,
-    limits: tuple[float, float] | None = None,
+    names: Sequence[str], stated: Collection[str], pushed: bool, reach: float, limits: tuple[float, float] | None = None
 ) -> rrb.Container:
-    """Return the panels of a run.
-
-    Args:
-      names: of its filters. stated: filters with innovations.
-      pushed: whether there is an external torque.
-      reach: of the link [m].
-      limits: of the panel of errors [N·m]; by default those of the errors.
-    """
+    """Return the panels of a run. `stated`: filters with innovations; `pushed`: whether there is an external torque;
+    `reach`: of the link [m]; `limits`: of the panel of errors [N·m], by default theirs."""
     main = main_filter(names)
     joint = joint_view("Joint: torque true (green), estimated, external (pink)", "scene", reach)
     # All panels have the same colours: one legend is enough.
@@ -99,6 +81,5 @@ def joint_view(name: str, origin: str, reach: float) -> rrb.Spatial3DView:
 
 def _error_limits(run: Run, name: str) -> tuple[float, float]:
     """Limits of the error panel [N·m]: 1.5 times the main filter's largest error after the transient."""
-    settled = run.time >= run.scenario.transient
-    limit = 1.5 * float(np.abs((run.estimate(name) - run.truth("joint_torque"))[settled]).max())
+    limit = 1.5 * float(np.abs((run.estimate(name) - run.truth("joint_torque"))[settled(run)]).max())
     return -limit, limit

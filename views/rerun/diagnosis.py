@@ -28,11 +28,8 @@ BEFORE, AFTER = "#E0533D", TRUTH
 
 
 def write_rerun_report(report: Report, path: Path) -> Path:
-    """Write a diagnosis as a recording: a tab per recording of the measurement, with verdict and tables.
-
-    Raises:
-      InputError: the file cannot be written, or an MJCF that cannot be read.
-    """
+    """Write a diagnosis as a recording: a tab per recording of the measurement, with verdict and tables. Raises
+    `InputError`: the file cannot be written, or an MJCF that cannot be read."""
     shown = overlays(report)
     parts = [(r, [o for row in shown for o in row if o.name == r.name]) for r in report.used.recordings]
     model = shape(report.joint)

@@ -8,9 +8,9 @@ import numpy as np
 import rerun as rr
 
 from ...sim.shape import shape
-from ..posteriors import innovations, modes, settled
+from ..posteriors import SHARE_WINDOW, innovations, modes, settled
 from ..style import filter_colors
-from .blueprint import SHARE_WINDOW, run_panels
+from .blueprint import run_panels
 from .recording import POINTS, layout
 from .run import (
     MODE_WINDOW,
@@ -36,12 +36,7 @@ class LiveRecording:
     """Shows the stretches of a run in a viewer."""
 
     def __init__(self, stream: rr.RecordingStream, start: Run):
-        """Show the scenario.
-
-        Args:
-          stream: to a viewer, a file or memory.
-          start: the run before its first tick.
-        """
+        """Show the scenario in a stream to a viewer, a file or memory; `start`: the run before its first tick."""
         self._stream, self._time = stream, start.time
         self._model = shape(start.joint)
         self._colors = filter_colors(f.name for f in start.scenario.filters)

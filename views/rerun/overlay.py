@@ -19,20 +19,11 @@ from .scene import reach, send_bodies, send_torques, thin_frames
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
-COLORS = (*FILTERS.values(), *SPARE)
-"""Colours of the runs, in their order."""
+COLORS = (*FILTERS.values(), *SPARE)  # colours of the runs, in their order
 
 
 def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
-    """Write runs as one recording.
-
-    Args:
-      runs: with different names for the viewer.
-      path: of the `.rrd` file.
-
-    Raises:
-      InputError: the file cannot be written.
-    """
+    """Write runs, by their names for the viewer, as one `.rrd` file. Raises `InputError`: it cannot be written."""
     models = [shape(run.joint) for _, run in runs]
     end = max(float(run.time[-1]) for _, run in runs)
     with recording(path, "several runs", layout(_panels(runs, max(map(reach, models))), end)) as stream:

@@ -16,10 +16,8 @@ from ...models.files import write_into_place
 from ..series import envelope
 
 TIMELINE = "time"
-POINTS = 8000
-"""Largest number of points of a series; peaks are kept, and all samples of pushes, if there are few."""
-SHARED_TIME = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
-"""The time axis that all panels share."""
+POINTS = 8000  # largest number of points of a series; peaks are kept, and all samples of pushes, if there are few
+SHARED_TIME = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)  # the time axis that all panels share
 _GLOBAL_VIEW = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
 """`GLOBAL_VIEW_ID` of Rerun's viewer (re_viewer_context)."""
 _LOOKS: WeakKeyDictionary[rr.RecordingStream, dict[str, Hashable]] = WeakKeyDictionary()
@@ -35,16 +33,8 @@ def is_new(stream: rr.RecordingStream, path: str, looks: Hashable = None) -> boo
 
 @contextmanager
 def recording(path: Path, name: str, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """Open a recording, which is moved to `path` at the end of the block, or removed after an error.
-
-    Args:
-      path: of the `.rrd` file.
-      name: of the recording in the viewer.
-      blueprint: its layout.
-
-    Raises:
-      InputError: the file cannot be written.
-    """
+    """Open a recording named `name`, which is moved to `path` (`.rrd`) at the end of the block, or removed after an
+    error. Raises `InputError`: the file cannot be written."""
     with write_into_place(Path(path)) as temporary:
         # The viewer has one layout per application: different recordings need different ones.
         stream = rr.RecordingStream(f"flexspline {name}")
@@ -69,19 +59,8 @@ def send_series(
     points: int = POINTS,
     visible: bool = True,
 ) -> None:
-    """Send a time series as an envelope; values that are not finite are gaps.
-
-    Args:
-      stream: the recording.
-      path: entity path.
-      time, values: shape (n,); time in s.
-      name: in the legend, with the unit if the view does not state it.
-      color: `#RRGGBB`.
-      width: of the line [ui points].
-      keep: samples to keep in any case, shape (n,), bool.
-      points: largest number of samples, about.
-      visible: whether it is shown at first.
-    """
+    """Send a time series [s], shape (n,), as an envelope of about so many points; values that are not finite are gaps.
+    `keep`: samples to keep in any case, shape (n,), bool; `visible`: whether it is shown at first."""
     peaks = rr.components.AggregationPolicy.MinMax
     if is_new(stream, path, (name, color, width, visible)):
         line = rr.SeriesLines(
@@ -96,14 +75,7 @@ def send_series(
 def series_view(
     name: str, origin: str, legend: bool = True, limits: tuple[float, float] | None = None
 ) -> rrb.TimeSeriesView:
-    """Return a panel of the time series below `origin`, on the common time axis.
-
-    Args:
-      name: of the panel, with the unit.
-      origin: entity path.
-      legend: whether it has one.
-      limits: of the values; by default automatic.
-    """
+    """Return a panel of the time series below an entity path, on the common time axis; `limits`: of the values."""
     return rrb.TimeSeriesView(
         name=name,
         origin=origin,

@@ -10,11 +10,11 @@ import numpy as np
 import rerun as rr
 
 from ...sim.shape import shape
-from ..posteriors import innovations, modes, switching
+from ..posteriors import SHARE_WINDOW, innovations, modes, switching
 from ..series import share
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors
 from ..tables import comparison_markdown
-from .blueprint import SHARE_WINDOW, run_blueprint
+from .blueprint import run_blueprint
 from .recording import POINTS, TIMELINE, is_new, recording, rgb, send_series
 from .scene import reach, send_scene
 
@@ -23,23 +23,11 @@ if TYPE_CHECKING:
 
     from ...scenarios.run import Run
 
-MODE_WINDOW = 0.02
-"""Window [s] of the mode lanes: robust if the filter is in robust mode for at least half of it."""
+MODE_WINDOW = 0.02  # window [s] of the mode lanes: robust if the filter is in robust mode for at least half of it
 
 
 def write_rerun(run: Run, path: Path) -> Path:
-    """Write a run as a Rerun recording.
-
-    Args:
-      run: the run.
-      path: of the `.rrd` file.
-
-    Returns:
-      The path.
-
-    Raises:
-      InputError: the file cannot be written.
-    """
+    """Write a run as a Rerun recording (`.rrd`); return the path. Raises `InputError`: the file cannot be written."""
     model = shape(run.joint)
     colors = filter_colors(run.estimates)
     with recording(path, run.name, run_blueprint(run, reach(model))) as stream:
@@ -62,16 +50,8 @@ def send_run(
     points: int = POINTS,
     visible: Collection[str] | None = None,
 ) -> None:
-    """Send a run or a stretch of it: scene, torques, innovations, torsion, motion.
-
-    Args:
-      run: a run, or a stretch of one.
-      model: the joint's shape.
-      colors: of the filters, by name.
-      pushed: whether there is an external torque.
-      points: largest number of samples of a series, about.
-      visible: of `send_estimates`.
-    """
+    """Send a run or a stretch of it: scene, torques, innovations, torsion, motion. `model`: the joint's shape;
+    `colors`: of the filters, by name; `pushed`: whether there is an external torque; `visible`: of `send_estimates`."""
     near = _interesting(run)
     send_scene(stream, run, model, colors, pushed)
     _send_torques(stream, run, near, points)
@@ -104,14 +84,8 @@ def _send_torques(stream: rr.RecordingStream, run: Run, near: np.ndarray, points
 def send_estimates(
     stream: rr.RecordingStream, run: Run, colors: Mapping[str, str], points: int, visible: Collection[str] | None = None
 ) -> None:
-    """Send the estimates of the filters in `colors`, their errors and innovations.
-
-    Args:
-      run: a run, or a stretch of one.
-      colors: of the filters, by name.
-      points: largest number of samples of a series, about.
-      visible: filters that are shown at first; by default those that are not always robust.
-    """
+    """Send the estimates of the filters in `colors`, their errors and innovations; `visible`: filters that are shown at
+    first, by default those that are not always robust."""
     near, truth = _interesting(run), run.truth("joint_torque")
     found = innovations(run)
     for name, color in colors.items():
@@ -161,12 +135,7 @@ def windows(time: np.ndarray, robust: np.ndarray, samples: int) -> tuple[np.ndar
 def send_mode(
     stream: rr.RecordingStream, name: str, start: np.ndarray, robust: np.ndarray, color: str, before: bool | None = None
 ) -> None:
-    """Send a filter's mode as a lane: its changes.
-
-    Args:
-      start, robust: of `windows`.
-      before: whether the window before them was robust; None without one.
-    """
+    """Send a filter's mode, of `windows`, as a lane: its changes. `before`: whether the window before them was robust."""
     changes = np.flatnonzero(np.append(before is None or robust[0] != before, robust[1:] != robust[:-1]))
     if not len(changes):
         return

@@ -16,8 +16,7 @@ from .recording import TIMELINE, is_new
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
-FRAME_RATE = 50.0
-"""Poses of the 3D scene per second."""
+FRAME_RATE = 50.0  # poses of the 3D scene per second
 
 
 def reach(model: mujoco.MjModel) -> float:
@@ -29,14 +28,8 @@ def reach(model: mujoco.MjModel) -> float:
 def send_scene(
     stream: rr.RecordingStream, run: Run, model: mujoco.MjModel, colors: Mapping[str, str], pushed: bool
 ) -> None:
-    """Send the joint's bodies with their motion, and the torques as arrows.
-
-    Args:
-      run: a run, or a stretch of one.
-      model: the joint's shape.
-      colors: of the filters by name.
-      pushed: whether there is an external torque.
-    """
+    """Send the joint's bodies with the motion of a run or a stretch of one, and its torques as arrows; `pushed`:
+    whether there is an external torque."""
     frames = thin_frames(run.time)
     if not len(frames):
         return
@@ -59,16 +52,9 @@ def send_bodies(
     model: mujoco.MjModel,
     bare: bool = False,
 ) -> np.ndarray | None:
-    """Send the joint's bodies with their motion.
-
-    Args:
-      place: entity path of the scene.
-      angles: of rotor and wave generator [rad, motor side] and link [rad], shape (f, 3).
-      bare: whether there is no link: its geoms are drawn as lines.
-
-    Returns:
-      Positions of the site `tip` [m], shape (f, 3), if there is one.
-    """
+    """Send the joint's bodies below an entity path; return the positions of the site `tip` [m], shape (f, 3), if there
+    is one. `angles`: of rotor and wave generator [rad, motor side] and link [rad], shape (f, 3); `bare`: without a link
+    its geoms are lines."""
     new = is_new(stream, place)
     if new:
         stream.log(place, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
@@ -89,12 +75,8 @@ def send_torques(
     torques: Mapping[str, tuple[np.ndarray, str]],
     model: mujoco.MjModel,
 ) -> None:
-    """Send torques [N·m], shape (f,) each, as curved arrows around the axis with increasing radius.
-
-    Args:
-      place: entity path of the scene; an arrow is `torque_<name>` below it.
-      torques: by name, with their colours.
-    """
+    """Send torques [N·m], shape (f,) each, by name with their colours, as curved arrows around the axis with increasing
+    radius, at `torque_<name>` below an entity path."""
     axis = _axis(model)
     radius = 2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1
     front = _front(model, axis)
