@@ -20,7 +20,7 @@ from ..estimator.conditioning import as_logged
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.recording import Measurement
-from .data.segments import CURRENT, STEP, Segment, segments
+from .data.segments import CURRENT, STEP, segments
 from .data.stretches import most_telling
 from .fit.replay import readings
 
@@ -33,21 +33,14 @@ _PROMINENT = 0.35  # of a peak in ln |H|: 3 dB
 
 @dataclass(frozen=True)
 class Response:
-    """A frequency response; m frequencies.
+    """A frequency response; m frequencies."""
 
-    Attributes:
-      frequency: [Hz], shape (m,).
-      measured, simulated: motor velocity over motor current [rad/(s·A)], complex, shape (m,).
-      coherence: with the reference, of current or velocity, the lesser one, shape (m,); own: of the simulated current.
-      reference: whether the position command was the reference.
-    """
-
-    frequency: np.ndarray
-    measured: np.ndarray
-    simulated: np.ndarray
-    coherence: np.ndarray
-    own: np.ndarray
-    reference: bool
+    frequency: np.ndarray  # [Hz], shape (m,)
+    measured: np.ndarray  # motor velocity over motor current [rad/(s·A)], complex, shape (m,)
+    simulated: np.ndarray  # likewise
+    coherence: np.ndarray  # of current or velocity with the reference, the lesser one, shape (m,)
+    own: np.ndarray  # the same of the simulated current
+    reference: bool  # the position command was the reference
 
     @property
     def coherent(self) -> np.ndarray:
@@ -113,9 +106,11 @@ def response(measurement: Measurement, joint: Joint) -> Response:
     total: dict[str, np.ndarray] = {}
     for s in (s for s in having if len(s.time) >= size):
         r = recordings[s.recording]
-        since = r.time - r.time[0]
-        current = np.interp(s.time, since, _current(s, r, joint))
-        own = readings(s, joint.record(s.mounting))[:, CURRENT]
+        since, record = r.time - r.time[0], joint.record(s.mounting)
+        current = np.interp(
+            s.time, since, r["motor_current"] if "motor_current" in r else r["motor_torque"] / record["Kt_drive"][0]
+        )
+        own = readings(s, record)[:, CURRENT]
         if not np.isfinite(own).all():
             raise InputError(f"{measurement.path}: the joint cannot follow the motion of {s.name}: is it in rad?")
         raw = np.interp(s.time, since, r["motor_position"])
@@ -137,9 +132,3 @@ def response(measurement: Measurement, joint: Joint) -> Response:
         coherence = [np.nan_to_num(np.abs(t[f"r{x}"]) ** 2 / np.real(t["rr"] * t[x + x])) for x in ("i", "q", "s")]
         least = np.minimum(*coherence[:2])
         return Response(f, omega * t["rq"] / t["ri"], omega * t["rm"] / t["rs"], least, coherence[2], reference)
-
-
-def _current(segment: Segment, recording: Any, joint: Joint) -> np.ndarray:
-    if "motor_current" in recording:
-        return recording["motor_current"]
-    return recording["motor_torque"] / joint.record(segment.mounting)[0]["Kt_drive"]

@@ -39,9 +39,8 @@ _PARTS = 4  # into which the range of speed, load and angle is cut, to say where
 _FEWEST = 20  # samples of such a part
 TIMESTEP = 1e-3
 """Of a written model of two bodies [s]."""
-_SHARE = (
-    0.02  # of the rotor's inertia: MuJoCo's integration of a bristle's damping s1 acts as an inertia of a step times s1
-)
+# of the rotor's inertia: MuJoCo's integration of a bristle's damping s1 acts as an inertia of a step times s1
+_SHARE = 0.02
 
 
 @dataclass(frozen=True)
@@ -59,30 +58,21 @@ class Worst:
 class Collapse:
     """A joint as another simulator's structure says it.
 
-    Attributes:
-      structure: one of `STRUCTURES`.
-      parameters: SI, by name. Of a hinge at the output: `armature` [kg·m²], `damping` [N·m·s/rad], `frictionloss` [N·m],
-        `stiffness` [N·m/rad], `springref` [rad]. Of two bodies on the motor side: `inertia` [kg·m²], `damping` [N·m·s/rad], `Fc`,
-        `Fs` [N·m], `vs` [rad/s], `s0`, `s1`; of the spring at the output `stiffness` (three coefficients, of x, x|x| and x³) and
-        `spring_damping`. All: `N`, `torque_constant` N Kt [N·m/A], `torque_limit` [N·m], `speed_limit` [rad/s] at the output.
-      full, written: RMS error of the current [A] on held-out motion, of the joint's own laws and of this structure, with the
-        load on the joint by its laws.
-      nominal: the same of the description that the measurement names, in this structure; None where it is this joint.
-      worst: where.
-      samples: that are held out.
-      visited: largest |speed| [rad/s] and |load| [N·m] of the motion, at the output.
-      draws: parameters of joints drawn from what is not known of this one.
+    Parameters in SI: of a hinge at the output `armature` [kg·m²], `damping` [N·m·s/rad], `frictionloss` [N·m], `stiffness`
+    [N·m/rad], `springref` [rad]. Of two bodies on the motor side: `inertia` [kg·m²], `damping` [N·m·s/rad], `Fc`, `Fs` [N·m],
+    `vs` [rad/s], `s0`, `s1`; of the spring at the output `stiffness` (three coefficients, of x, x|x| and x³) and
+    `spring_damping`. All: `N`, `torque_constant` N Kt [N·m/A], `torque_limit` [N·m], `speed_limit` [rad/s] at the output.
     """
 
-    structure: str
+    structure: str  # one of `STRUCTURES`
     parameters: dict[str, Any]
-    full: float
-    written: float
-    nominal: float | None
+    full: float  # RMS error of the current [A] on held-out motion by the joint's own laws
+    written: float  # the same of this structure, with the load on the joint by its laws
+    nominal: float | None  # the same of the description that the measurement names; None if it is this joint
     worst: Worst | None
-    samples: int
-    visited: tuple[float, float]
-    draws: tuple[dict[str, Any], ...] = ()
+    samples: int  # that are held out
+    visited: tuple[float, float]  # largest |speed| [rad/s] and |load| [N·m] of the motion, at the output
+    draws: tuple[dict[str, Any], ...] = ()  # parameters of joints drawn from the uncertainty of this one
 
     @property
     def worse_than_nominal(self) -> bool:
@@ -186,11 +176,15 @@ class _Motion:
         self._rotor = np.concatenate([decimate(s.rotor) for s in self.segments])
         self._measured = np.concatenate([s.measured[:, CURRENT] for s in self.segments])
 
+    def _replayed(self, records: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return `_replayed` of all segments, a record for each."""
+        each = parallel(_replayed, list(zip(self.segments, records, strict=True)))
+        current, motion = zip(*each, strict=True)
+        return np.concatenate(current), np.concatenate(motion)
+
     def fitted(self, records: Sequence[np.ndarray], structure: str) -> _Fitted:
         """A structure fitted to the laws of a joint, a record for every segment."""
-        replayed = parallel(_replayed, list(zip(self.segments, records, strict=True)))
-        full = np.concatenate([current for current, _ in replayed])
-        link = np.concatenate([motion for _, motion in replayed])
+        full, link = self._replayed(records)
         q, v, _, load = link.T
         p = records[0][0]
         if structure == "two_bodies":
@@ -223,15 +217,12 @@ class _Motion:
 
     def full_error(self, joint: Joint) -> float:
         """RMS error [A] of the current by the joint's own laws on held-out motion."""
-        records = [joint.record(s.mounting) for s in self.segments]
-        current = np.concatenate([x for x, _ in parallel(_replayed, list(zip(self.segments, records, strict=True)))])
+        current, _ = self._replayed([joint.record(s.mounting) for s in self.segments])
         return _rms((current - self._measured)[self._held])
 
     def feed_forward_error(self, joint: Joint) -> FeedForwardError:
         records = [joint.record(s.mounting) for s in self.segments]
-        link = np.concatenate(
-            [motion for _, motion in parallel(_replayed, list(zip(self.segments, records, strict=True)))]
-        )
+        _, link = self._replayed(records)
         held, p = self._held, steady(records[0])[0]
         load = link[:, 3] + p["bl"] * link[:, 1]
         temperature = np.concatenate([decimate(s.temperature) for s in self.segments])

@@ -21,7 +21,7 @@ def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
     covariance = at.covariance[: c.size, : c.size]
     moved = {}
     for slot in c.slots:
-        value, std = _value(c, slot, x, covariance)
+        value, std = value_and_std(c, slot, x, covariance)
         number = slot.number
         shared = problem.joint.shared_tolerances[number.shared] if number.shared else 0.0
         tolerance = float(np.hypot(np.hypot(number.tolerance, shared), number.deviation))
@@ -54,8 +54,8 @@ def _delays(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
     return found
 
 
-def _value(c: Calibration, slot: Slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Value of a number and its standard deviation."""
+def value_and_std(c: Calibration, slot: Slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Return a number and its standard deviation, with a covariance of the calibration variables x, shape (n, n)."""
     value = c.value(slot, x)
     step = 1e-3
     slope = np.array([(c.value(slot, x + step * e) - value) / step for e in np.eye(c.size)])
@@ -84,7 +84,7 @@ def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
     for slot in c.slots:
         if np.all(problem.held[c.variables(slot)]):
             continue  # as it was described
-        value, std = _value(c, slot, x, covariance)
+        value, std = value_and_std(c, slot, x, covariance)
         if slot.field in ("amplitude", "phase"):
             target = data["kinematic_error"][slot.index][slot.field]
         elif slot.name in _PLACES:

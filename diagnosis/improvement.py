@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,25 +59,15 @@ class RegionError:
 
 @dataclass(frozen=True)
 class Improvement:
-    """Error of estimators on data that no fit saw.
+    """Error of estimators on data that no fit saw."""
 
-    Attributes:
-      quantity: what is estimated and was measured too, one of `TRUTHS`.
-      main: the representative estimator.
-      errors: estimator → (before, after), RMS [N·m] over the held-out blocks.
-      regions: of the main estimator, the one where it gains least first.
-      noise: of the reference [N·m rms], the error of a perfect estimate; 0 if unknown.
-      known_before: what the estimators knew before, for people.
-      traces: of the main estimator, by recording.
-    """
-
-    quantity: str
-    main: str
-    errors: dict[str, tuple[float, float]]
-    regions: tuple[RegionError, ...]
-    noise: float
-    known_before: str
-    traces: tuple[Trace, ...] = field(repr=False)
+    quantity: str  # what is estimated and was measured too, one of `TRUTHS`
+    main: str  # the representative estimator
+    errors: dict[str, tuple[float, float]]  # estimator → (before, after), RMS [N·m] over the held-out blocks
+    regions: tuple[RegionError, ...]  # of the main estimator, the one where it gains least first
+    noise: float  # of the reference [N·m rms], the error of a perfect estimate; 0 if unknown
+    known_before: str  # what the estimators knew before, for people
+    traces: tuple[Trace, ...] = field(repr=False)  # of the main estimator, by recording
 
     @property
     def source(self) -> str:
@@ -100,12 +91,11 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
     None where nothing was measured to compare them with, or nothing was computed.
     """
     measurement = most_telling(measurement)  # the same recordings and places as in the diagnosis
-    quantity = _measured_torque(measurement)
-    if quantity is None or diagnosis.problem is None or diagnosis.search is None:
+    quantity, sensed = _sensed(measurement)
+    if not sensed or diagnosis.problem is None or diagnosis.search is None:
         return None
     joint = diagnosis.problem.joint
     before = calibrated(diagnosis.problem, diagnosis.search.base, joint) if diagnosis.causes else joint
-    sensed = _sensed(measurement, quantity)
     with ThreadPoolExecutor(2) as pool:
         tasks = [
             pool.submit(estimate_recording, recording, known, ESTIMATORS)
@@ -141,11 +131,10 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
 def serves(measurement: Measurement, joint: Joint, conditioned: Sequence[Conditioned]) -> Callable[[Joint], bool]:
     """Return a test whether estimators do no worse with another joint than with this one: geometric mean of the ratios of errors
     of `MAIN`. It is always true if no torque was measured. `conditioned`: the measurement's recordings."""
-    sensed = _with_torque(measurement, conditioned)
-    before = _errors_with(sensed, joint)
+    before = _errors_with(measurement, conditioned, joint)
 
     def no_worse(other: Joint) -> bool:
-        after = _errors_with(sensed, other)
+        after = _errors_with(measurement, conditioned, other)
         ratios = [max(after.get(name, np.inf), 1e-12) / max(error, 1e-12) for name, error in before.items()]
         return not ratios or float(np.mean(np.log(ratios))) <= np.log(WORSE)
 
@@ -157,31 +146,18 @@ def removed(
 ) -> list[float]:
     """Return the mean square of the estimators' error that a joint has less than each of others, [N·m]²: mean over `MAIN`. It is
     empty if no torque was measured. `conditioned`: the measurement's recordings."""
-    sensed = _with_torque(measurement, conditioned)
     with ThreadPoolExecutor(2) as pool:
-        best, *others = pool.map(lambda known: _errors_with(sensed, known), (whole, *without))
+        best, *others = pool.map(partial(_errors_with, measurement, conditioned), (whole, *without))
     if not best:
         return []
     more = [[other.get(name, error) ** 2 - error**2 for name, error in best.items()] for other in others]
     return [max(float(np.mean(squares)), 0.0) for squares in more]
 
 
-_Conditioned = tuple[str, list[tuple[Recording, Conditioned]]]
-"""A quantity of `TRUTHS`, and the recordings in which it was measured."""
-
-
-def _with_torque(measurement: Measurement, conditioned: Sequence[Conditioned]) -> _Conditioned | None:
-    """Return the recordings that estimates can be compared with; None if no torque was measured."""
-    quantity = _measured_torque(measurement)
-    return None if quantity is None else (quantity, [(r, conditioned[i]) for i, r in _sensed(measurement, quantity)])
-
-
-def _errors_with(sensed: _Conditioned | None, known: Joint) -> dict[str, float]:
-    """RMS error of the estimators `MAIN` [N·m] with a joint description; empty where no torque was measured."""
-    if sensed is None:
-        return {}
-    quantity, recordings = sensed
-    estimates = [(r, estimate_recording(r, known, MAIN, conditioned=c)) for r, c in recordings]
+def _errors_with(measurement: Measurement, conditioned: Sequence[Conditioned], known: Joint) -> dict[str, float]:
+    """Return the RMS error of the estimators `MAIN` [N·m] with a joint description; empty if no torque was measured."""
+    quantity, sensed = _sensed(measurement)
+    estimates = [(r, estimate_recording(r, known, MAIN, conditioned=conditioned[i])) for i, r in sensed]
     found: dict[str, float] = {}
     for name in MAIN:
         pairs = [(recording, e) for recording, e in estimates if name in _of(e, quantity)]
@@ -189,14 +165,10 @@ def _errors_with(sensed: _Conditioned | None, known: Joint) -> dict[str, float]:
     return {name: error for name, error in found.items() if np.isfinite(error)}
 
 
-def _measured_torque(measurement: Measurement) -> str | None:
-    """The first of `TRUTHS` that was measured."""
-    return next((name for name in TRUTHS if _sensed(measurement, name)), None)
-
-
-def _sensed(measurement: Measurement, quantity: str) -> list[tuple[int, Recording]]:
-    """Recordings in which a torque was measured, with their places in the measurement."""
-    return [(i, r) for i, r in enumerate(measurement.recordings) if quantity in r]
+def _sensed(measurement: Measurement) -> tuple[str, list[tuple[int, Recording]]]:
+    """Return the first of `TRUTHS` that was measured, and its recordings, with their places in the measurement."""
+    found = {name: [(i, r) for i, r in enumerate(measurement.recordings) if name in r] for name in TRUTHS}
+    return next(((name, some) for name, some in found.items() if some), ("", []))
 
 
 def _of(estimates: Estimates, quantity: str) -> Mapping[str, np.ndarray]:

@@ -33,6 +33,7 @@ from ..scenarios.scenario import Scenario, Waypoint
 from ..sim.plant import TIMESTEP
 from .data import coverage
 from .data.segments import BALANCES, segments
+from .extension import value_and_std
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.noise import Noise, sensor_noise, whiten
 from .fit.residual import Problem
@@ -56,40 +57,25 @@ _NUMBERS = ("Kt", "K1", "K2", "K3", "Fc", "Fs", "bw", "Jm", "Jl", "Mg")
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Weights and limits of experiments.
+    """Weights and limits of experiments; strengths in standard deviations."""
 
-    Attributes:
-      shows, apart, known: standard deviations at which a cause is detected, two causes are distinguished (their squares are
-        `identifiability.SHOWS` and `ALIKE`), and a size is known.
-      wide, sharp: a number is in question above this share of its tolerance, and below this z-score; widest: number of these.
-      sharper: least improvement of a number in question.
-      least: least progress on some question of a proposed experiment.
-      variants: hypotheses that represent a cause with many orders or starts.
-      range, load: largest angle [rad], and torque over the rated torque, of experiments.
-      heaviest: largest gravity torque with a payload over the rated torque.
-      speed: largest speed over the motor's no-load speed.
-      size, number: weight of the size of an effect, and of a number; the presence of a cause has weight 1.
-      effort: cost of a load, a clamp and a further sensor, in questions.
-      warming: of the gear, where its temperature is read [K].
-    """
-
-    shows: float = float(np.sqrt(SHOWS))
-    apart: float = float(np.sqrt(ALIKE))
-    known: float = 10.0
-    wide: float = 0.5
-    sharp: float = 100.0
-    widest: int = 3
-    sharper: float = 2.0
-    least: float = 0.1
-    variants: int = 6
-    range: float = 1.3
-    load: float = 0.7
-    heaviest: float = 0.9
-    speed: float = 0.5
-    effort: tuple[float, float, float] = (0.1, 0.2, 0.4)
-    size: float = 0.7
-    number: float = 0.3
-    warming: float = 10.0
+    shows: float = float(np.sqrt(SHOWS))  # at which a cause is detected
+    apart: float = float(np.sqrt(ALIKE))  # at which two causes are distinguished
+    known: float = 10.0  # at which a size is known
+    wide: float = 0.5  # share of its tolerance above which a number is in question
+    sharp: float = 100.0  # z-score below which it is
+    widest: int = 3  # numbers in question
+    sharper: float = 2.0  # least improvement of such a number
+    least: float = 0.1  # least progress on some question of a proposed experiment
+    variants: int = 6  # hypotheses that represent a cause with many orders or starts
+    range: float = 1.3  # largest angle of experiments [rad]
+    load: float = 0.7  # their torque over the rated torque
+    heaviest: float = 0.9  # largest gravity torque with a payload over the rated torque
+    speed: float = 0.5  # largest speed over the motor's no-load speed
+    effort: tuple[float, float, float] = (0.1, 0.2, 0.4)  # of a load, a clamp and a further sensor, in questions
+    size: float = 0.7  # weight of the size of an effect; the presence of a cause has weight 1
+    number: float = 0.3  # weight of a number
+    warming: float = 10.0  # of the gear, where its temperature is read [K]
 
     def weight(self, q: Question) -> float:
         """Return the weight of an answer, in questions."""
@@ -101,19 +87,12 @@ SETTINGS = PlanSettings()
 
 @dataclass(frozen=True)
 class Question:
-    """An open question: whether a cause is present, which of two it is, or how large something is.
+    """An open question: whether a cause is present, which of two it is, or how large something is."""
 
-    Attributes:
-      names: one cause, a pair, or a number of the joint.
-      now: strength of the measurement's answer, in standard deviations.
-      needed: strength at which it is answered.
-      parameter: of the cause, if its size is in question; `value` of a number.
-    """
-
-    names: tuple[str, ...]
-    now: float
-    needed: float
-    parameter: str = ""
+    names: tuple[str, ...]  # one cause, a pair, or a number of the joint
+    now: float  # strength of the measurement's answer, in standard deviations
+    needed: float  # strength at which it is answered
+    parameter: str = ""  # of the cause, if its size is in question; `value` of a number
 
     @property
     def of_number(self) -> bool:
@@ -155,20 +134,13 @@ def _percent(z: float) -> str:
 
 @dataclass(frozen=True)
 class Proposal:
-    """An experiment and its expected answers together with the measurement.
+    """An experiment and its expected answers together with the measurement."""
 
-    Attributes:
-      name: of the experiment; description: instructions.
-      duration: [s].
-      expected: standard deviations, shape (questions,).
-      score: weighted progress on the questions, minus the effort.
-    """
-
-    name: str
-    description: str
-    duration: float
-    expected: tuple[float, ...]
-    score: float = 0.0
+    name: str  # of the experiment
+    description: str  # instructions
+    duration: float  # [s]
+    expected: tuple[float, ...]  # standard deviations of the questions
+    score: float = 0.0  # weighted progress on the questions, minus the effort
 
 
 @dataclass(frozen=True)
@@ -184,12 +156,8 @@ class Plan:
 
     def sentence(self, proposal: Proposal, most: int = 5) -> str:
         """Return the instructions and the expected answers to at most `most` questions."""
-        gains = [
-            (_progress(q, e), q, e)
-            for q, e in zip(self.questions, proposal.expected, strict=True)
-            if _progress(q, e) > SETTINGS.least
-        ]
-        gains.sort(key=lambda g: -g[0])
+        gains = [(_progress(q, e), q, e) for q, e in zip(self.questions, proposal.expected, strict=True)]
+        gains = sorted((g for g in gains if g[0] > SETTINGS.least), key=lambda g: -g[0])
         by_verb: dict[str, list[str]] = {}
         for _, q, e in gains[:most]:
             by_verb.setdefault(q.verb, []).append(q.answer(e, bool(by_verb.get(q.verb)) and not q.parameter))
@@ -202,14 +170,12 @@ class Plan:
         return [self.sentence(p) for p in self.proposals]
 
     def __repr__(self) -> str:
-        return (
-            f"Plan({len(self.questions)} questions; proposals: {', '.join(p.name for p in self.proposals) or 'none'})"
-        )
+        names = ", ".join(p.name for p in self.proposals) or "none"
+        return f"Plan({len(self.questions)} questions; proposals: {names})"
 
     def _repr_html_(self) -> str:
-        return paragraph("What to measure next") + (
-            listing(self.sentences()) or paragraph("", "no experiment adds information")
-        )
+        proposals = listing(self.sentences()) or paragraph("", "no experiment adds information")
+        return paragraph("What to measure next") + proposals
 
     def to_json(self) -> list[dict[str, Any]]:
         """Return `next` of `diagnosis.json`."""
@@ -324,25 +290,16 @@ def _asked(measurement: Measurement, diagnosis: Diagnosis, joint: Joint) -> Iter
 def _numbers(problem: Problem, at: Fit) -> list[Question]:
     """Return questions on the numbers that the measurement hardly improved, the least known first."""
     c = problem.calibration
+    x, prior = at.theta[: c.size], np.eye(c.size)
     found = []
     for slot in c.slots:
         if slot.name not in _NUMBERS or not (slot.number.tolerance or slot.number.shared):
             continue
-        slope = _slope(problem, at, slot.name)
-        stated = float(np.linalg.norm(slope))
-        std = float(np.sqrt(max(slope @ at.covariance[: c.size, : c.size] @ slope, 0.0)))
-        z = abs(c.value(slot, at.theta[: c.size])) / max(std, 1e-300)
-        if std > SETTINGS.wide * stated and z < SETTINGS.sharp:
+        value, std = value_and_std(c, slot, x, at.covariance[: c.size, : c.size])
+        z = abs(value) / max(std, 1e-300)
+        if std > SETTINGS.wide * value_and_std(c, slot, x, prior)[1] and z < SETTINGS.sharp:
             found.append(Question((slot.name,), z, SETTINGS.sharper * z, "value"))
     return sorted(found, key=lambda q: q.now)[: SETTINGS.widest]
-
-
-def _slope(problem: Problem, at: Fit, name: str) -> np.ndarray:
-    """Return the derivative of a number in the calibration variables, shape (n,)."""
-    c, step = problem.calibration, 1e-3
-    slot = next(s for s in c.slots if s.name == name)
-    x = at.theta[: c.size]
-    return np.array([(c.value(slot, x + step * e) - c.value(slot, x)) / step for e in np.eye(c.size)])
 
 
 def _without_splines(problem: Problem, f: Fit) -> Fit:
@@ -350,11 +307,7 @@ def _without_splines(problem: Problem, f: Fit) -> Fit:
     named = [i for i, h in enumerate(f.model) if isinstance(h, Hypothesis)]
     if len(named) == len(f.model):
         return f
-    columns = [np.arange(problem.size)]
-    for i in named:
-        place = problem.place(f.model, i)
-        columns.append(np.arange(place.start, place.stop))
-    kept = np.concatenate(columns)
+    kept = np.concatenate([np.arange(problem.size), *(_columns(problem, f, i) for i in named)])
     return replace(
         f,
         model=tuple(f.model[i] for i in named),
@@ -363,6 +316,12 @@ def _without_splines(problem: Problem, f: Fit) -> Fit:
         covariance=f.covariance[np.ix_(kept, kept)],
         noise_jacobian=None,
     )
+
+
+def _columns(problem: Problem, f: Fit, index: int) -> np.ndarray:
+    """Return the unknowns of an effect of a fit's model, as indices."""
+    place = problem.place(f.model, index)
+    return np.arange(place.start, place.stop)
 
 
 def _representatives(joint: Joint, at: Fit, problem: Problem, asked: Sequence[Question]) -> list[Hypothesis]:
@@ -392,22 +351,18 @@ class _State:
 
     def __init__(self, problem: Problem, at: Fit, tried: list[Hypothesis]):
         self.problem, self.at, self.tried = problem, at, tried
-        self.size = len(at.theta)
-        self.common = problem.size
+        self.size = self.columns = len(at.theta)
         self.precision = 1 / problem.spread(at.model) ** 2
-        self.blocks: dict[str, list[np.ndarray]] = {}
-        self.model_blocks: list[np.ndarray] = []
-        for i, h in enumerate(at.model):
-            place = problem.place(at.model, i)
-            self.model_blocks.append(np.arange(place.start, place.stop))
-            self.blocks.setdefault(h.cause.name, []).append(place.start + np.asarray(h.magnitudes))
-        self.columns = self.size
+        self.model_blocks = [_columns(problem, at, i) for i in range(len(at.model))]
         self.tried_blocks: list[np.ndarray] = []
         for h in tried:
-            block = np.arange(self.columns, self.columns + len(h.magnitudes))
-            self.tried_blocks.append(block)
+            self.tried_blocks.append(np.arange(self.columns, self.columns + len(h.magnitudes)))
+            self.columns += len(h.magnitudes)
+        self.blocks: dict[str, list[np.ndarray]] = {}
+        for h, block in zip(at.model, self.model_blocks, strict=True):
+            self.blocks.setdefault(h.cause.name, []).append(block[h.magnitudes])
+        for h, block in zip(tried, self.tried_blocks, strict=True):
             self.blocks.setdefault(h.cause.name, []).append(block)
-            self.columns += len(block)
 
     def information(self, problem: Problem, noise: Noise, jacobian: Columns, shown: set[str]) -> np.ndarray:
         """Return the Fisher information of data, shape (columns, columns); zero for causes that are not `shown`."""
@@ -415,7 +370,7 @@ class _State:
         library = Library.at(problem, self.at, [self.tried[i] for i in tried])
         X = whiten(problem.segments, noise, jacobian, *([library.whole] if tried else [])).rows
         X = X[np.all(np.isfinite(X), axis=1)]
-        X = X * np.sqrt(leverage_weight(X[:, : self.common]))[:, None]
+        X = X * np.sqrt(leverage_weight(X[:, : self.problem.size]))[:, None]
         found = np.zeros((self.columns, self.columns))
         where = np.concatenate([np.arange(self.size), *(self.tried_blocks[i] for i in tried)])
         found[np.ix_(where, where)] = X.T @ X
@@ -432,55 +387,38 @@ class _State:
 
     def strength(self, q: Question, information: np.ndarray, before: np.ndarray) -> float:
         """Return the strength of an answer with some information; `before`: of the measurement alone."""
-        if q.of_number:
-            slope = _slope(self.problem, self.at, q.names[0])
-            then, first = (float(slope @ self._covariance(one) @ slope) for one in (information, before))
-            return q.now * float(np.sqrt(first / max(then, 1e-300)))
         if q.parameter:
-            i = next(i for i, h in enumerate(self.at.model) if h.cause.name == q.names[0])
-            after, first_ = (self._spread_of(i, one) for one in (information, before))
-            return q.now * float(np.min(first_ / np.maximum(after, 1e-300)))
-        own = [self.blocks[name] for name in q.names]
-        answering = np.arange(self.size)
-        for name in q.names:
-            for block, h in zip(self.model_blocks, self.at.model, strict=True):
-                if h.cause.name == name:
-                    answering = np.setdiff1d(answering, block)
-        left, places = self._left(information, answering, own)
-        if len(q.names) == 1:
-            strengths = [float(np.trace(left[p, p]) / max(p.stop - p.start, 1)) for p in places[0]]
-            return float(np.sqrt(max(np.median(strengths), 0.0)))
-        one, other = places
-        return float(np.sqrt(max(distance(left, one, other), 0.0)))
-
-    def _left(
-        self, information: np.ndarray, answering: np.ndarray, own: list[list[np.ndarray]]
-    ) -> tuple[np.ndarray, list[list[slice]]]:
-        """Return the Schur complement of some columns after `answering` ones, and the place of each block in it."""
-        places: list[list[slice]] = []
-        position = 0
-        for group in own:
-            places.append([])
-            for block in group:
-                places[-1].append(slice(position, position + len(block)))
-                position += len(block)
-        columns = np.concatenate([block for group in own for block in group])
-        H = information[np.ix_(answering, answering)] + np.diag(self.precision[answering])
+            after, first = (self._deviation(q, np.linalg.inv(self._posterior(one))) for one in (information, before))
+            return q.now * float(np.min(first / np.maximum(after, 1e-300)))
+        named = [b for b, h in zip(self.model_blocks, self.at.model, strict=True) if h.cause.name in q.names]
+        answering = np.setdiff1d(np.arange(self.size), np.concatenate([np.empty(0, int), *named]))
+        H = self._posterior(information)[np.ix_(answering, answering)]
+        own = [block for name in q.names for block in self.blocks[name]]
+        columns = np.concatenate(own)
         cross = information[np.ix_(answering, columns)]
         left = information[np.ix_(columns, columns)] - cross.T @ np.linalg.solve(H, cross)
-        return left, places
+        ends = np.cumsum([len(block) for block in own]).tolist()
+        places = [slice(end - len(block), end) for end, block in zip(ends, own, strict=True)]
+        if len(q.names) == 1:
+            strengths = [float(np.trace(left[p, p]) / max(p.stop - p.start, 1)) for p in places]
+            return float(np.sqrt(max(np.median(strengths), 0.0)))
+        count = len(self.blocks[q.names[0]])
+        return float(np.sqrt(max(distance(left, places[:count], places[count:]), 0.0)))
 
-    def _spread_of(self, index: int, information: np.ndarray) -> np.ndarray:
-        """Return standard deviations of an effect's magnitudes, shape (m,)."""
-        n = self.size
-        covariance = np.linalg.inv(information[:n, :n] + np.diag(self.precision))
-        where = self.model_blocks[index][self.at.model[index].magnitudes]
+    def _posterior(self, information: np.ndarray) -> np.ndarray:
+        """Return the precision of the fit's unknowns, shape (n, n)."""
+        return information[: self.size, : self.size] + np.diag(self.precision)
+
+    def _deviation(self, q: Question, covariance: np.ndarray) -> np.ndarray:
+        """Return the standard deviations of a number, or of an effect's magnitudes, shape (m,)."""
+        if q.of_number:
+            c = self.problem.calibration
+            slot = next(s for s in c.slots if s.name == q.names[0])
+            x = self.at.theta[: c.size]
+            return np.array([value_and_std(c, slot, x, covariance[: c.size, : c.size])[1]])
+        i = next(i for i, h in enumerate(self.at.model) if h.cause.name == q.names[0])
+        where = self.model_blocks[i][self.at.model[i].magnitudes]
         return np.sqrt(np.maximum(np.diag(covariance)[where], 0.0))
-
-    def _covariance(self, information: np.ndarray) -> np.ndarray:
-        """Return the covariance of the calibration variables, shape (n, n)."""
-        n, m = self.size, self.problem.calibration.size
-        return np.linalg.inv(information[:n, :n] + np.diag(self.precision))[:m, :m]
 
 
 def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
@@ -506,29 +444,18 @@ def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
 
 @dataclass(frozen=True)
 class PlannedExperiment:
-    """An experiment.
-
-    Attributes:
-      name, description: name and instructions.
-      mounting: of the link.
-      motion: waypoints of the link; with a locked output, of the rotor over the gear ratio.
-      channels: columns that are recorded.
-      interval: between samples [s].
-      effort: in addition to time, in questions.
-      locked: whether the output is bolted to the bench; controller: of the drive.
-      warming: of the gear [K].
-    """
+    """An experiment."""
 
     name: str
-    description: str
-    mounting: Mounting
-    motion: tuple[Waypoint, ...]
-    channels: frozenset[str]
-    interval: float
-    effort: float = 0.0
-    locked: bool = False
-    controller: Controller = CONTROLLER
-    warming: float = 0.0
+    description: str  # instructions
+    mounting: Mounting  # of the link
+    motion: tuple[Waypoint, ...]  # of the link; with a locked output, of the rotor over the gear ratio
+    channels: frozenset[str]  # columns that are recorded
+    interval: float  # between samples [s]
+    effort: float = 0.0  # in addition to time, in questions
+    locked: bool = False  # the output is bolted to the bench
+    controller: Controller = CONTROLLER  # of the drive
+    warming: float = 0.0  # of the gear [K]
 
     @property
     def duration(self) -> float:
@@ -575,23 +502,17 @@ def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) ->
 
 @dataclass(frozen=True)
 class _Bench:
-    """What an experiment can do with a joint.
+    """What an experiment can do with a joint."""
 
-    Attributes:
-      joint: its description; p: record of the joint that was found.
-      link: the heaviest load of the measurement; channels: columns that it recorded; interval: between samples [s].
-      low, high: range of the link that the measurement visited [rad]; centre, reach: of the motions proposed [rad].
-    """
-
-    joint: Joint
-    p: np.void
-    link: Mounting
-    channels: frozenset[str]
-    interval: float
-    low: float
-    high: float
-    centre: float
-    reach: float
+    joint: Joint  # its description
+    p: np.void  # record of the joint that was found
+    link: Mounting  # the heaviest load of the measurement
+    channels: frozenset[str]  # columns that it recorded
+    interval: float  # between samples [s]
+    low: float  # range of the link that the measurement visited [rad]
+    high: float  # likewise
+    centre: float  # of the motions proposed [rad]
+    reach: float  # likewise
 
     @classmethod
     def of(cls, measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> _Bench:
@@ -660,23 +581,16 @@ def _motions(bench: _Bench) -> Iterator[PlannedExperiment]:
     yield bench.experiment("sweeps", f"Move the link through {span(reach)} and back, 6 s each way", bench.sweeps())
     fast = bench.shortest(2 * reach)
     first = bench.sweeps(reach, fast)
-    yield bench.experiment(
-        "fast_sweeps",
-        f"Move the link through {span(reach)} and back as fast as {fast:.2g} s each way",
-        [*first, *_later(bench.sweeps(reach, 1.5 * fast), first[-1].time)],
-    )
-    yield bench.experiment(
-        "slow_reversals",
-        f"Turn back and forth by 0.05 rad at 0.04 rad/s, at three angles within {span(0.7 * reach)}",
-        _reversals([-0.7 * reach, 0.0, 0.7 * reach], 0.05, 0.04),
-    )
+    slower = [w.model_copy(update={"time": w.time + first[-1].time}) for w in bench.sweeps(reach, 1.5 * fast)]
+    text = f"Move the link through {span(reach)} and back as fast as {fast:.2g} s each way"
+    yield bench.experiment("fast_sweeps", text, [*first, *slower])
+    text = f"Turn back and forth by 0.05 rad at 0.04 rad/s, at three angles within {span(0.7 * reach)}"
+    yield bench.experiment("slow_reversals", text, _reversals([-0.7 * reach, 0.0, 0.7 * reach], 0.05, 0.04))
     poses = [*np.linspace(-reach, reach, 7), *np.linspace(reach, -reach, 7)[1:], 0.0]
     step, half = max(bench.shortest(reach / 3), 0.8), max(bench.shortest(reach), 2.0)
-    yield bench.experiment(
-        "rest_poses",
-        f"Hold still at seven angles within {span(reach)}, each reached from both sides",
-        waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4),
-    )
+    points = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
+    text = f"Hold still at seven angles within {span(reach)}, each reached from both sides"
+    yield bench.experiment("rest_poses", text, points)
     wide = min(1.4 * reach, 2.4)
     if wide > 1.2 * reach or reach < SETTINGS.range:
         text = f"Move the link as far as {span(wide)} and back, 8 s each way"
@@ -743,10 +657,6 @@ def _sensors(bench: _Bench) -> Iterator[PlannedExperiment]:
 
 def _angle(x: float) -> str:
     return f"{round(x, 1 if abs(x) >= 1 else 2) + 0.0:g}".replace("-", "−")
-
-
-def _later(points: Sequence[Waypoint], seconds: float) -> list[Waypoint]:
-    return [w.model_copy(update={"time": w.time + seconds}) for w in points]
 
 
 def _reversals(centres: Sequence[float], width: float, speed: float) -> list[Waypoint]:

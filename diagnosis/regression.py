@@ -44,24 +44,16 @@ _SAME = 1e-6  # share of a column that no other column explains, below which it 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One coefficient of a regression.
+    """One coefficient of a regression."""
 
-    Attributes:
-      name: of the shape: `gravity`, `inertia`, `Coulomb friction`, …
-      value, std: in the channel's unit over the shape's.
-      means: number of the joint, as a symbol or the name of a cause's parameter; may be empty.
-      number, number_std: that number, in `unit`; described, tolerance: value and standard deviation of the description; NaN
-        without a number.
-    """
-
-    name: str
-    value: float
-    std: float
-    means: str = ""
-    number: float = float("nan")
+    name: str  # of the shape: `gravity`, `inertia`, `Coulomb friction`, …
+    value: float  # in the channel's unit over the shape's
+    std: float  # likewise
+    means: str = ""  # number of the joint, as a symbol or the name of a cause's parameter; may be empty
+    number: float = float("nan")  # its value, in `unit`
     number_std: float = float("nan")
-    described: float = float("nan")
-    tolerance: float = float("nan")
+    described: float = float("nan")  # value of the description
+    tolerance: float = float("nan")  # its standard deviation
     unit: str = ""
 
     @property
@@ -83,44 +75,29 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Regression:
-    """The least squares of one channel.
+    """The least squares of one channel."""
 
-    Attributes:
-      channel: `motor_current`, `motor_torque` or `joint_torque`; unit: its unit.
-      coefficients: of every identifiable shape.
-      rms: of the residual in motion; held_out: the same on held-out blocks of a separate fit, NaN for short recordings; spread:
-        standard deviation of the channel in motion. All in `unit`.
-      samples: in motion.
-      passband: of the smoother [Hz], the lowest of all recordings.
-      left_out: shapes that are confounded with others in this motion.
-      moment: that stands for the gravity moment of a recording whose description has none [N·m]: 1 if no recording has one.
-    """
-
-    channel: str
-    unit: str
-    coefficients: tuple[Coefficient, ...]
-    rms: float
-    held_out: float
-    spread: float
-    samples: int
-    passband: float
-    left_out: tuple[str, ...] = ()
-    moment: float = 0.0
+    channel: str  # `motor_current`, `motor_torque` or `joint_torque`
+    unit: str  # of the channel
+    coefficients: tuple[Coefficient, ...]  # of every identifiable shape
+    rms: float  # of the residual in motion, in `unit`
+    held_out: float  # the same on held-out blocks of a separate fit; NaN for short recordings
+    spread: float  # standard deviation of the channel in motion, in `unit`
+    samples: int  # in motion
+    passband: float  # of the smoother [Hz], the lowest of all recordings
+    left_out: tuple[str, ...] = ()  # shapes that are confounded with others in this motion
+    moment: float = 0.0  # gravity moment [N·m] of a recording without a described one: 1 if no recording has one
 
     @property
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Rows of text: shape, coefficient, its meaning for the joint, described value."""
-        return [
-            (
-                c.name,
-                f"{c.value:.4g} ± {c.std:.2g}",
-                f"{c.means.replace('_', ' ')} {c.number:.4g} ± {c.number_std:.2g} {'' if c.unit == '1' else c.unit}".rstrip()
-                if c.means
-                else "",
-                f"{c.described:.4g} ± {c.tolerance:.2g}" if c.means else "",
-            )
-            for c in self.coefficients
-        ]
+        rows = []
+        for c in self.coefficients:
+            unit = "" if c.unit == "1" else c.unit
+            meaning = f"{c.means.replace('_', ' ')} {c.number:.4g} ± {c.number_std:.2g} {unit}".rstrip()
+            said = (meaning, f"{c.described:.4g} ± {c.tolerance:.2g}") if c.means else ("", "")
+            rows.append((c.name, f"{c.value:.4g} ± {c.std:.2g}", *said))
+        return rows
 
     @property
     def title(self) -> str:
@@ -165,16 +142,12 @@ def regressions(
     if part is not measurement:
         measurement, conditioned = part, None
     every = conditioned or [condition(r, joint) for r in measurement.recordings]
-    pairs = [
-        (r, c)
-        for r, c in zip(measurement.recordings, every, strict=True)
-        if r.external != "unmeasured" and not r.link.locked
-    ]
-    quiet, used = [r for r, _ in pairs], [c for _, c in pairs]
-    channels = [name for name in DRIVING if any(name in r for r in quiet)]
+    pairs = zip(measurement.recordings, every, strict=True)
+    used = [(r, c) for r, c in pairs if r.external != "unmeasured" and not r.link.locked]
+    channels = [name for name in DRIVING if any(name in r for r, _ in used)]
     if "motor_current" in channels and "motor_torque" in channels:
         channels.remove("motor_torque")
-    return tuple(one for name in channels if (one := _regress(used, joint, name)) is not None)
+    return tuple(one for name in channels if (one := _regress([c for _, c in used], joint, name)) is not None)
 
 
 def contradictions(every: Sequence[Regression], joint: Joint) -> tuple[str, ...]:
@@ -291,17 +264,9 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
     )
     left_out = tuple(n for i, n in enumerate(names) if i not in kept)
     return Regression(
-        channel,
-        CHANNELS[channel].unit,
-        coefficients,
-        _rms(raw - X[:, kept] @ beta),
-        unseen,
-        float(np.std(raw)),
-        len(y),
-        min(c.passband for _, c in having),
-        left_out,
-        moment,
-    )
+        channel, CHANNELS[channel].unit, coefficients, _rms(raw - X[:, kept] @ beta), unseen, float(np.std(raw)), len(y),
+        min(c.passband for _, c in having), left_out, moment,
+    )  # fmt: skip
 
 
 _PREFERRED = (
@@ -361,46 +326,37 @@ def _of_joint(
     output = {"motor_current": N * Kt, "motor_torque": N, "joint_torque": 1.0}[channel]
     driven = channel != "joint_torque"
     offset = "current_offset" if channel == "motor_current" else "torque_offset"
-    unit = CHANNELS[channel].unit
-    if name == "sensor torque":
-        if channel != "motor_current" or value <= 0.0:
-            return Coefficient(name, value, std)
-        number, factor = 1.0 / (N * value), -1.0 / (N * value) / value
-    else:
-        factor = {
-            "gravity": moment * output,
-            "Coulomb friction": output / N if driven else 1.0,
-            "viscous friction": output / N**2 if driven else 1.0,
-            "link inertia": output * link.inertia,
-            "offset": 1.0,
-        }.get(name, output)
-        number = factor * value
-    if name == "inertia" and alone and not driven:
-        number += float(p["Jl"])
-    meanings: dict[str, tuple[str, str, Callable[[np.void], float]]] = {
-        "sensor torque": ("Kt", "N·m/A", lambda r: r["Kt"]),
-        "gravity": ("gravity_moment", "N·m", lambda r: r["Mg"]),
-        "arm": ("arm_scale", "1", lambda r: r["arm_scale"]),
-        "inertia": (
-            "rotor_inertia" if alone and driven else "inertia",
-            "kg·m²",
-            lambda r: (not (alone and driven)) * r["Jl"] + driven * N * N * (r["Jm"] + r["Jw"]),
-        ),
-        "link inertia": ("link_inertia", "kg·m²", lambda r: r["Jl"]),
-        "load friction": ("load_dependent_friction", "1", lambda r: r["friction_load"]),
-        "offset": ("offset", unit, lambda r: r[offset]),
+    inertia: tuple[str, Callable[[np.void], float]] = ("inertia", lambda r: r["Jl"])
+    if driven:
+        inertia = (
+            ("rotor_inertia" if alone else "inertia"),
+            (lambda r: (not alone) * r["Jl"] + N * N * (r["Jm"] + r["Jw"])),
+        )
+    # Per shape: number of the joint, unit, its ratio to the coefficient, its described value.
+    meanings: dict[str, tuple[str, str, float, Callable[[np.void], float]]] = {
+        "gravity": ("gravity_moment", "N·m", moment * output, lambda r: r["Mg"]),
+        "arm": ("arm_scale", "1", output, lambda r: r["arm_scale"]),
+        "inertia": (inertia[0], "kg·m²", output, inertia[1]),
+        "link inertia": ("link_inertia", "kg·m²", output * link.inertia, lambda r: r["Jl"]),
+        "load friction": ("load_dependent_friction", "1", output, lambda r: r["friction_load"]),
+        "offset": ("offset", CHANNELS[channel].unit, 1.0, lambda r: r[offset]),
+        "Coulomb friction": ("link_friction", "N·m", 1.0, lambda r: r["link_friction"]),
+        "viscous friction": ("link_damping", "N·m·s/rad", 1.0, lambda r: r["link_damping"]),
     }
     if driven:
-        meanings["Coulomb friction"] = ("Fc", "N·m", lambda r: r["Fc"])
-        meanings["viscous friction"] = ("viscous", "N·m·s/rad", lambda r: r["bw"] + r["bm"] + r["bl"] / N**2)
-    else:
-        meanings["Coulomb friction"] = ("link_friction", "N·m", lambda r: r["link_friction"])
-        meanings["viscous friction"] = ("link_damping", "N·m·s/rad", lambda r: r["link_damping"])
+        total = lambda r: r["bw"] + r["bm"] + r["bl"] / N**2  # noqa: E731
+        meanings["Coulomb friction"] = ("Fc", "N·m", output / N, lambda r: r["Fc"])
+        meanings["viscous friction"] = ("viscous", "N·m·s/rad", output / N**2, total)
+    if channel == "motor_current" and value > 0.0:  # its number is the reciprocal of the coefficient
+        meanings["sensor torque"] = ("Kt", "N·m/A", -1.0 / (N * value) / value, lambda r: r["Kt"])
     if name not in meanings:
         return Coefficient(name, value, std)
-    means, unit, of = meanings[name]
+    means, unit, factor, of = meanings[name]
     described, *moved = (float(of(r)) for r in records)
     open_ = float(np.sqrt(np.sum((np.array(moved) - described) ** 2)))
+    number = 1.0 / (N * value) if name == "sensor torque" else factor * value
+    if name == "inertia" and alone and not driven:
+        number += described
     return Coefficient(name, value, std, means, number, abs(factor) * std, described, open_, unit)
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -53,36 +54,27 @@ _BALANCE_OF = {"motor_current": CURRENT, "motor_torque": CURRENT, "joint_torque"
 
 @dataclass(frozen=True)
 class ChannelError:
-    """Error of a simulated channel in motion: rms, mean and rms of the sensors' noise in `unit`; share of samples inside the band
-    widened by sensor noise; number of samples."""
+    """Error of a simulated channel in motion."""
 
-    rms: float
-    mean: float
-    noise: float
+    rms: float  # in `unit`
+    mean: float  # likewise
+    noise: float  # of the sensors, rms, likewise
     unit: str
-    inside: float
+    inside: float  # share of samples inside the band, widened by sensor noise
     samples: int
 
 
 @dataclass(frozen=True)
 class ValidationRegion:
-    """RMS error of every channel in motion in a part of the range of a variable.
+    """RMS error of every channel in motion in a part of the range of a variable."""
 
-    Attributes:
-      by: angle, speed, load or direction.
-      low, high, unit: of the variable; of direction the sign of the velocity.
-      samples: in motion.
-      rms: by channel, in its unit.
-      beyond: share of the samples that lie beyond the joint's range of validity.
-    """
-
-    by: str
-    low: float
-    high: float
-    unit: str
-    samples: int
-    rms: dict[str, float]
-    beyond: float
+    by: str  # angle, speed, load or direction
+    low: float  # of the variable; of direction the sign of the velocity
+    high: float  # likewise
+    unit: str  # of the variable
+    samples: int  # in motion
+    rms: dict[str, float]  # by channel, in its unit
+    beyond: float  # share of the samples that are beyond the joint's range of validity
 
     def to_json(self) -> dict[str, Any]:
         """Return the region as in `validation.json`."""
@@ -94,31 +86,20 @@ class ValidationRegion:
 
 @dataclass(frozen=True)
 class Channels:
-    """One recording measured and simulated; n samples, NaN where the simulation is missing.
+    """One recording measured and simulated; n samples, NaN where the simulation is missing."""
 
-    Attributes:
-      name: of the recording.
-      time: as its table has it, shape (n,) [s].
-      measured, simulated, deviation: by channel, shape (n,); the last is half a band over `SIGMAS`.
-      noise: rms of `measured` − `simulated` from the sensors' noise by channel, shape (n,).
-      sensor: part of the channel's own sensor, rms by channel.
-      moving: which samples count, shape (n,), bool.
-      angle, velocity, load: of the link, shape (n,) [rad], [rad/s], [N·m].
-      units: by channel.
-    """
-
-    name: str
-    time: np.ndarray
-    measured: dict[str, np.ndarray]
-    simulated: dict[str, np.ndarray]
-    deviation: dict[str, np.ndarray]
-    noise: dict[str, np.ndarray]
-    sensor: dict[str, float]
-    moving: np.ndarray
-    angle: np.ndarray
-    velocity: np.ndarray
-    load: np.ndarray
-    units: dict[str, str]
+    name: str  # of the recording
+    time: np.ndarray  # as in its table, shape (n,) [s]
+    measured: dict[str, np.ndarray]  # by channel, shape (n,)
+    simulated: dict[str, np.ndarray]  # likewise
+    deviation: dict[str, np.ndarray]  # likewise, half a band over `SIGMAS`
+    noise: dict[str, np.ndarray]  # rms of `measured` − `simulated` from the sensors' noise by channel, shape (n,)
+    sensor: dict[str, float]  # its part from the channel's own sensor
+    moving: np.ndarray  # which samples count, shape (n,), bool
+    angle: np.ndarray  # of the link [rad], shape (n,)
+    velocity: np.ndarray  # [rad/s], shape (n,)
+    load: np.ndarray  # [N·m], shape (n,)
+    units: dict[str, str]  # by channel
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -134,10 +115,8 @@ class Channels:
     @property
     def column_units(self) -> dict[str, str]:
         """Unit of every one of `columns`."""
-        found = {"time": "s"}
-        for name, unit in self.units.items():
-            found |= {f"{name}{end}": unit for end in ("", "_simulated", "_low", "_high")}
-        return found
+        ends = ("", "_simulated", "_low", "_high")
+        return {"time": "s"} | {f"{name}{end}": unit for name, unit in self.units.items() for end in ends}
 
 
 @dataclass(frozen=True)
@@ -213,11 +192,12 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
             f"{measurement.path}: expected half a second without gaps, with a channel to simulate, got none"
         )
     residual = _residual(recordings)
+    motion = [np.concatenate([getattr(r, x)[r.moving] for r in recordings]) for x in ("angle", "velocity", "load")]
     return Validation(
         joint=joint.name,
         residual=residual,
-        regions=tuple(_regions(recordings, joint.valid)),
-        beyond=_beyond(recordings, joint.valid),
+        regions=tuple(_regions(recordings, motion, joint.valid)),
+        beyond={} if joint.valid is None else joint.valid.beyond(*motion),
         mistakes=mistakes,
         fixed=measurement.fixed,
         recordings=recordings,
@@ -237,10 +217,9 @@ class _Part:
     variance: dict[str, np.ndarray]
     motion_noise: dict[str, np.ndarray]
 
-    def at(self, since: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Interpolate values at steps or residuals to times since the recording's start; NaN beyond the segment."""
-        time = self.segment.time if len(values) == len(self.segment.time) else self.segment.at
-        return np.interp(since, time, values, left=np.nan, right=np.nan)
+    def channel(self, kind: str, name: str) -> np.ndarray:
+        """Return a value of a channel, shape (n,)."""
+        return getattr(self, kind)[name]
 
 
 def _simulated(recording: Recording, joint: Joint) -> Channels:
@@ -260,19 +239,22 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
     measured = {name: recording[name] for name in CHANNELS if of.get(name)}
     since = recording.time - recording.time[0]
     angle, velocity, load, moving = (
-        _joined(parts, since, [of_part(part.segment) for part in parts])
-        for of_part in (
-            lambda s: s.link_position, lambda s: s.state[:, 3], lambda s: s.load, lambda s: _counts(s).astype(float),
+        _joined(parts, since, get)
+        for get in (
+            lambda part: part.segment.link_position, lambda part: part.segment.state[:, 3], lambda part: part.segment.load,
+            lambda part: _counts(part.segment).astype(float),
         )
     )  # fmt: skip
     simulated, deviation, noise = {}, {}, {}
     sensor = {name: _sensor_noise(joint, name) for name in measured}
     for name in measured:
-        simulated[name] = _joined(of[name], since, [part.values[name] for part in of[name]])
-        if name == "external_torque":  # a part of all that is known to act on the link
-            simulated[name] -= recording.torque_of_arm
-        variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
-        motion = np.maximum(_joined(of[name], since, [part.motion_noise[name] for part in of[name]]), 0.0)
+        value, variance, motion = (
+            _joined(of[name], since, partial(_Part.channel, kind=kind, name=name))
+            for kind in ("values", "variance", "motion_noise")
+        )
+        # The external torque is a part of all known torques on the link.
+        simulated[name] = value - recording.torque_of_arm if name == "external_torque" else value
+        motion = np.maximum(motion, 0.0)
         if name == "link_position":  # a sample with a wrong time is off by the speed times that
             motion = motion + (np.nan_to_num(velocity) * conditioned.stamps.error) ** 2
         deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint, sensor[name]))
@@ -313,17 +295,19 @@ def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint,
         return 0.0
     since = recording.time - recording.time[0]
     scale = float(joint.record(recording.link)[0]["Kt_drive"]) if name == "motor_torque" else 1.0
-    slow = _joined(parts, since, [scale * part.segment.measured[:, _BALANCE_OF[name]] for part in parts])
+    slow = _joined(parts, since, lambda part: scale * part.segment.measured[:, _BALANCE_OF[name]])
     rest = np.nan_to_num(recording[name] - slow) ** 2
     around = max(round(_AROUND * 1e-3 / recording.interval), 1)
     return np.maximum(uniform_filter1d(rest, around, mode="nearest") - noise**2, 0.0)
 
 
-def _joined(parts: Sequence[_Part], since: np.ndarray, values: Sequence[np.ndarray]) -> np.ndarray:
-    """Join values of all segments at a recording's samples, shape (n,); NaN between them."""
+def _joined(parts: Sequence[_Part], since: np.ndarray, of: Callable[[_Part], np.ndarray]) -> np.ndarray:
+    """Join values at steps or residuals of all segments at a recording's samples, shape (n,); NaN between segments."""
     found = np.full(len(since), np.nan)
-    for part, x in zip(parts, values, strict=True):
-        here = part.at(since, x)
+    for part in parts:
+        values, segment = of(part), part.segment
+        time = segment.time if len(values) == len(segment.time) else segment.at
+        here = np.interp(since, time, values, left=np.nan, right=np.nan)
         found = np.where(np.isfinite(here), here, found)
     return found
 
@@ -354,16 +338,16 @@ def _parts(conditioned: Conditioned, joint: Joint, names: Sequence[str]) -> list
             return _channels(*task, kept, late)
 
         base, noisy = parallel(channels, [(one, record), (replicate, record)])
-        variance = {name: (_inflation(one, joint) * _discrepancy(joint, name)) ** 2 for name in kept}
+        variance = {name: np.zeros(len(one.time)) + _discrepancy(one, joint, name) ** 2 for name in kept}
         for first in range(0, len(moved), _BATCH):
             for changed in parallel(channels, [(one, other) for other in moved[first : first + _BATCH]]):
                 for name in kept:
                     if np.isfinite(changed[name]).all():  # skip diverged replays
                         variance[name] += (changed[name] - base[name]) ** 2
-        resting = np.interp(one.time, one.at, one.at_rest)
-        for name in kept:
-            if _BALANCE_OF.get(name) == CURRENT:
-                variance[name] += resting * _friction_at_rest(joint, name) ** 2
+        resting, friction = np.interp(one.time, one.at, one.at_rest), joint.numbers["Fs"].value / np.sqrt(3)
+        for name in (name for name in kept if _BALANCE_OF.get(name) == CURRENT):
+            unit = 1.0 if name == "motor_torque" else joint.numbers["Kt"].value
+            variance[name] += resting * float(friction / unit) ** 2
         noise = {name: uniform_filter1d((noisy[name] - base[name]) ** 2, _AROUND, mode="nearest") for name in kept}
         found.append(_Part(one, base, variance, noise))
     return found
@@ -416,111 +400,71 @@ def _link_readings(p, time, temperature, inner, out):
         out[i] = dynamics.read_link_position(state, s.load, p)
 
 
-def _discrepancy(joint: Joint, name: str) -> float:
-    """Return the model discrepancy of the description's fit, rms in the channel's unit."""
-    stated = joint.uncertainty
+def _discrepancy(segment: Segment, joint: Joint, name: str) -> float | np.ndarray:
+    """Return the model discrepancy of the description's fit, rms in the channel's unit; it grows beyond the range of validity,
+    shape (n,)."""
+    stated, valid = joint.uncertainty, joint.valid
     if stated is None:
         return 0.0
     known: dict[str, float] = {balance: rms for balance, rms in stated.discrepancy.items()}
-    value = {symbol: number.value for symbol, number in joint.numbers.items()}
-    if name == "motor_torque":
-        return known.get("motor_current", 0.0) * value["Kt"]
-    if name == "external_torque":
-        return known.get("link_balance", 0.0)
-    if name == "link_position":
-        return max(known.get("link_balance", 0.0), known.get("joint_torque", 0.0)) / value["K1"]
-    if name == "joint_torque":
-        return known.get(name, known.get("link_balance", 0.0))
-    return known.get(name, 0.0)
-
-
-def _friction_at_rest(joint: Joint, name: str) -> float:
-    """Return the standard deviation of friction at rest, in the unit of the current or motor torque."""
-    level = joint.numbers["Fs"].value / np.sqrt(3)
-    return float(level if name == "motor_torque" else level / joint.numbers["Kt"].value)
-
-
-def _inflation(segment: Segment, joint: Joint) -> np.ndarray:
-    """Return the growth of the model discrepancy beyond the range of validity, shape (n,)."""
-    valid, stated = joint.valid, joint.uncertainty
-    if valid is None or stated is None:
-        return np.ones(len(segment.time))
+    current, link = (known.get(balance, 0.0) for balance in ("motor_current", "link_balance"))
+    rms = {
+        "motor_current": current,
+        "motor_torque": current * joint.numbers["Kt"].value,
+        "joint_torque": known.get("joint_torque", link),
+        "external_torque": link,
+        "link_position": max(link, known.get("joint_torque", 0.0)) / joint.numbers["K1"].value,
+    }[name]
+    if valid is None:
+        return rms
     far = valid.distance(segment.link_position, segment.state[:, 3], segment.load)
-    return 1 + (stated.beyond - 1) * np.interp(segment.time, segment.at, far)
+    return (1 + (stated.beyond - 1) * np.interp(segment.time, segment.at, far)) * rms
 
 
 # --- results ---------------------------------------------------------------------------------------------------------
 
 
 def _residual(recordings: Sequence[Channels]) -> dict[str, ChannelError]:
-    """Error of every channel over all recordings."""
+    """Return the error of every channel over all recordings."""
     found = {}
     for name in CHANNELS:
-        having = [r for r in recordings if name in r.measured]
-        use = [r.moving & np.isfinite(r.simulated[name]) for r in having]
-        if not any(u.any() for u in use):
-            continue
-
-        error, noise, deviation = (
-            np.concatenate([x[u] for x, u in zip(columns, use, strict=True)])
-            for columns in (
-                [r.measured[name] - r.simulated[name] for r in having],
-                [r.noise[name] for r in having],
-                # The band includes the motion's noise, but not the sensor's.
-                [np.hypot(r.deviation[name], r.sensor[name]) for r in having],
-            )
-        )
-        half = SIGMAS * deviation
-        inside = float(np.mean(np.abs(error) <= half))
-        found[name] = ChannelError(
-            _rms(error), float(np.mean(error)), _rms(noise), CHANNELS[name].unit, inside, len(error)
-        )
+        having = [(r, r.moving & np.isfinite(r.simulated[name])) for r in recordings if name in r.measured]
+        if any(use.any() for _, use in having):
+            error = np.concatenate([(r.measured[name] - r.simulated[name])[use] for r, use in having])
+            noise = np.concatenate([r.noise[name][use] for r, use in having])
+            # The band includes the motion's noise, but not the sensor's.
+            half = SIGMAS * np.concatenate([np.hypot(r.deviation[name], r.sensor[name])[use] for r, use in having])
+            inside, mean = float(np.mean(np.abs(error) <= half)), float(np.mean(error))
+            found[name] = ChannelError(_rms(error), mean, _rms(noise), CHANNELS[name].unit, inside, len(error))
     return found
 
 
-def _regions(recordings: Sequence[Channels], valid: ValidRange | None) -> Iterator[ValidationRegion]:
-    """Errors by region of angle, speed, load and direction."""
-    if not any(r.moving.any() for r in recordings):
+def _regions(
+    recordings: Sequence[Channels], motion: Sequence[np.ndarray], valid: ValidRange | None
+) -> Iterator[ValidationRegion]:
+    """Yield errors by region of angle, speed, load and direction; `motion`: angle, velocity and load in motion, shape (n,)."""
+    angle, velocity, load = motion
+    if not len(angle):
         return
-    variables: tuple[tuple[str, str, Callable[[Channels], np.ndarray]], ...] = (
-        ("angle", "rad", lambda r: r.angle), ("speed", "rad/s", lambda r: np.abs(r.velocity)), ("load", "N·m", lambda r: r.load),
-        ("direction", "", lambda r: np.sign(r.velocity)),
-    )  # fmt: skip
-    for by, unit, of in variables:
-        moving = np.concatenate([of(r)[r.moving] for r in recordings])
-        edges = np.linspace(moving.min(), moving.max(), BINS + 1) if by != "direction" else np.array([-1.0, 0.0, 1.0])
-        for k, (low, high) in enumerate(pairwise(edges)):
-            last = k == len(edges) - 2
-            use = [r.moving & (of(r) >= low) & ((of(r) <= high) if last else (of(r) < high)) for r in recordings]
-            samples = int(sum(u.sum() for u in use))
-            if samples < FEWEST:
+    outside = np.zeros(len(angle), bool) if valid is None else valid.outside(*motion)
+    nothing = [np.full(len(r.time), np.nan) for r in recordings]
+    errors = {
+        name: np.concatenate(
+            [(r.measured.get(name, x) - r.simulated.get(name, x))[r.moving] for r, x in zip(recordings, nothing, strict=True)]
+        )
+        for name in CHANNELS if any(name in r.measured for r in recordings)
+    }  # fmt: skip
+    variables = {"angle": ("rad", angle), "speed": ("rad/s", np.abs(velocity)), "load": ("N·m", load)}
+    for by, (unit, x) in (variables | {"direction": ("", np.sign(velocity))}).items():
+        edges = np.array([-1.0, 0.0, 1.0]) if by == "direction" else np.linspace(x.min(), x.max(), BINS + 1)
+        place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+        for k, (low, high) in enumerate(pairwise(edges.tolist())):
+            use = place == k
+            if use.sum() < FEWEST:
                 continue
-            rms = {}
-            for name in CHANNELS:
-                errors = [
-                    (r.measured[name] - r.simulated[name])[u & np.isfinite(r.simulated[name])]
-                    for r, u in zip(recordings, use, strict=True) if name in r.measured
-                ]  # fmt: skip
-                if any(map(len, errors)):
-                    rms[name] = _rms(np.concatenate(errors))
-            outside = np.concatenate([_outside(r, valid)[u] for r, u in zip(recordings, use, strict=True)])
-            yield ValidationRegion(by, float(low), float(high), unit, samples, rms, float(np.mean(outside)))
-
-
-def _outside(r: Channels, valid: ValidRange | None) -> np.ndarray:
-    """Which samples are beyond the range of validity, shape (n,), bool."""
-    return np.zeros(len(r.time), bool) if valid is None else valid.outside(r.angle, r.velocity, r.load)
-
-
-def _beyond(recordings: Sequence[Channels], valid: ValidRange | None) -> dict[str, float]:
-    """Shares of the samples in motion that are beyond the range of validity."""
-    if valid is None:
-        return {}
-    motion = (
-        np.concatenate([x(r)[r.moving] for r in recordings])
-        for x in (lambda r: r.angle, lambda r: r.velocity, lambda r: r.load)
-    )
-    return valid.beyond(*motion)
+            here = {name: error[use & np.isfinite(error)] for name, error in errors.items()}
+            rms = {name: _rms(error) for name, error in here.items() if len(error)}
+            yield ValidationRegion(by, low, high, unit, int(use.sum()), rms, float(np.mean(outside[use])))
 
 
 def _rms(x: np.ndarray) -> float:

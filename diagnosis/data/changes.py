@@ -20,10 +20,7 @@ from .plausibility import Plausibility, RelationFit, SmoothedChannels
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """What a change costs in log likelihood, and which numbers are looked at.
-
-    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-    """
+    """What a change costs in log likelihood, and which numbers are looked at. Set on `benchmarks/mistakes.py`."""
 
     price: float = 9.0  # of a mistake
     free: float = 5.0  # of a number that is free, more
@@ -64,41 +61,26 @@ _SI = {
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake in the data.
+    """A mistake in the data."""
 
-    Attributes:
-      name: `unit`, `sign`, `gear_ratio`, `swapped`, `late`, `wrapped`, `velocity`, `angle_zero`, `no_gravity`, `stuck`, `glitch`,
-        `clipped`.
-      column: with the mistake; empty if it concerns several.
-      recording: with the mistake; empty if all have it.
-      description: for people.
-      confidence: probability of it.
-      factor: that mends the column (of `gear_ratio`: that mends N); of `wrapped` a whole turn, or the range of a register, in the
-        column's unit.
-      seconds: by which the column is late. offset: that mends it, added.
-      rows: of the table that have it, from 0.
-      also: further columns that the same change corrects; an offset of the motor position is on the motor side.
-      becomes: name of the column that it should have.
-      severe: whether it invalidates a diagnosis.
-      lost: whether the file does not contain the correct values.
-      price: in log likelihood. counts: for counts logged as an angle, whether they are the described encoder's.
-    """
-
+    # `unit`, `sign`, `gear_ratio`, `swapped`, `late`, `wrapped`, `velocity`, `angle_zero`, `no_gravity`, `stuck`, `glitch`,
+    # `clipped`
     name: str
-    column: str
-    recording: str
-    description: str
-    confidence: float
+    column: str  # with the mistake; empty if it concerns several
+    recording: str  # with the mistake; empty if all have it
+    description: str  # for people
+    confidence: float  # probability of it
+    # that corrects the column (of `gear_ratio`: N); of `wrapped` a turn or a register's range, in the column's unit
     factor: float | None = None
-    seconds: float | None = None
-    offset: float | None = None
-    rows: tuple[int, ...] | None = None
-    also: tuple[str, ...] = ()
-    becomes: str = ""
-    severe: bool = True
-    lost: bool = False
-    price: float = SETTINGS.price
-    counts: bool | None = None
+    seconds: float | None = None  # by which the column is late
+    offset: float | None = None  # that corrects it, added; of the motor position on the motor side
+    rows: tuple[int, ...] | None = None  # of the table that have it, from 0
+    also: tuple[str, ...] = ()  # further columns that the same change corrects
+    becomes: str = ""  # name of the column that it should have
+    severe: bool = True  # whether it invalidates a diagnosis
+    lost: bool = False  # whether the file does not contain the correct values
+    price: float = SETTINGS.price  # in log likelihood
+    counts: bool | None = None  # for counts logged as an angle, whether they are the described encoder's
 
     @property
     def columns(self) -> str:
@@ -255,20 +237,13 @@ def _integral(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Table:
-    """The mistakes that a measurement may have.
+    """The mistakes that a measurement may have."""
 
-    Attributes:
-      joint: the description; plausible: the description for each recording.
-      whole: positions of which all values are whole numbers.
-      unsigned: torques of which only the magnitude was logged.
-      still_arm: whether the other joints of an arm are at rest.
-    """
-
-    joint: Joint
-    plausible: Sequence[Plausibility]
-    whole: frozenset[str]
-    unsigned: frozenset[str]
-    still_arm: bool
+    joint: Joint  # the description
+    plausible: Sequence[Plausibility]  # the description for each recording
+    whole: frozenset[str]  # positions of which all values are whole numbers
+    unsigned: frozenset[str]  # torques of which only the magnitude was logged
+    still_arm: bool  # whether the other joints of an arm are at rest
 
     def entries(self, motions: Sequence[SmoothedChannels | None]) -> Iterator[Mistake]:
         """Yield all entries for smoothed channels."""

@@ -7,7 +7,7 @@ requirements of a cause are in `models.causes` (`needs`, `requires`, `torsion`),
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,59 +42,37 @@ _DRIVE = ("motor_current", "motor_torque")
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """Summary of one recording.
-
-    Attributes:
-      name: of the recording; samples, duration [s], interval (median) [s].
-      jitter: rms of the intervals' deviation from it, without missing samples [s].
-      late: error of the time stamps according to the encoders [s rms]; zero if unknown.
-      passband: up to which its motion may be differentiated twice [Hz].
-      done: corrections of the conditioning, as sentences.
-      missing: single samples that are missing; gaps: longer ones, begin and end [s].
-      ranges: smallest and largest value by channel.
-      motor_speed, link_speed: largest [rad/s]; of an encoder that is not there, by the gear ratio.
-      sliding: share of the time in which the mesh slides.
-      reversals: changes of direction that last.
-      forward, backward: travel of the rotor in each direction [rad].
-      load: smallest and largest joint torque [N·m], as measured, or else as the drive's reading asks for.
-      load_measured: whether there was a joint torque sensor.
-      clipped: share of samples at the current limit; None without motor current.
-    """
+    """Summary of one recording."""
 
     name: str
     samples: int
-    duration: float
-    interval: float
-    jitter: float
-    late: float
-    passband: float
-    done: tuple[str, ...]
-    missing: int
-    gaps: tuple[tuple[float, float], ...]
-    ranges: dict[str, tuple[float, float]]
-    motor_speed: float
-    link_speed: float
-    sliding: float
-    reversals: int
-    forward: float
-    backward: float
-    load: tuple[float, float]
-    load_measured: bool
-    clipped: float | None
+    duration: float  # [s]
+    interval: float  # median [s]
+    jitter: float  # rms of the intervals' deviation from it, without missing samples [s]
+    late: float  # error of the time stamps according to the encoders [s rms]; zero if unknown
+    passband: float  # up to which its motion may be differentiated twice [Hz]
+    done: tuple[str, ...]  # corrections of the conditioning, as sentences
+    missing: int  # single samples
+    gaps: tuple[tuple[float, float], ...]  # begin and end [s]
+    ranges: dict[str, tuple[float, float]]  # smallest and largest value by channel
+    motor_speed: float  # largest [rad/s]; without the encoder, by the gear ratio
+    link_speed: float  # likewise
+    sliding: float  # share of the time in which the mesh slides
+    reversals: int  # changes of direction that last
+    forward: float  # travel of the rotor [rad]
+    backward: float  # likewise
+    load: tuple[float, float]  # smallest and largest joint torque [N·m]: measured, or from the drive's reading
+    load_measured: bool  # by a joint torque sensor
+    clipped: float | None  # share of samples at the current limit; None without motor current
 
 
 @dataclass(frozen=True)
 class Balance:
-    """A torque balance that can be formed.
+    """A torque balance that can be formed."""
 
-    Attributes:
-      name: of the residual that it leaves, as in a diagnosis; description: what is held against what.
-      recordings: names of those that have it.
-    """
-
-    name: str
-    description: str
-    recordings: tuple[str, ...]
+    name: str  # of its residual, as in a diagnosis
+    description: str  # what is compared
+    recordings: tuple[str, ...]  # names of those that have it
 
 
 def summarise(recording: Recording, joint: Joint, conditioned: Conditioned | None = None) -> RecordingSummary:
@@ -104,11 +82,10 @@ def summarise(recording: Recording, joint: Joint, conditioned: Conditioned | Non
     interval = recording.interval
     inside, there, jitter = _steps(time, interval, recording.gap)
     N = joint.numbers["N"].value
-    rotor, link = _positions(recording, N)
-    w = np.abs(_velocity(recording, rotor))
-    motor_speed, sliding = float(w.max()), float(np.mean(w > SLIDING * joint.numbers["vs"].value))
-    del w  # of an hour, 30 MB
-    link_speed = float(np.abs(_velocity(recording, link)).max())
+    rotor, link = _positions(recording.columns, N)
+    speed = np.abs(_velocity(recording, rotor))
+    motor_speed, sliding = float(speed.max()), float(np.mean(speed > SLIDING * joint.numbers["vs"].value))
+    del speed  # of an hour, 30 MB
     load = np.percentile(_load(recording, joint), (0.5, 99.5))
     # What happens within a gap is unknown.
     turns = [_turning_points(rotor[part]) for part in recording.segments]
@@ -128,7 +105,7 @@ def summarise(recording: Recording, joint: Joint, conditioned: Conditioned | Non
         gaps=recording.gaps,
         ranges={name: (float(x.min()), float(x.max())) for name, x in recording.columns.items()},
         motor_speed=motor_speed,
-        link_speed=link_speed,
+        link_speed=float(np.abs(_velocity(recording, link)).max()),
         sliding=sliding,
         reversals=sum(max(len(points) - 2, 0) for points in turns),
         forward=float(sum(x[x > 0].sum() for x in travel)),
@@ -143,11 +120,8 @@ def _steps(time: np.ndarray, interval: float, gap: float) -> tuple[float, int, f
     """Return sum [s] and number of the intervals without gaps, and the rms jitter [s] of those without missing samples."""
     steps = np.diff(time)
     steps = steps[steps <= gap]
-    whole, count = float(steps.sum()), len(steps)
-    steps = steps[steps < 1.6 * interval]
-    steps -= interval
-    steps *= steps
-    return whole, count, float(np.sqrt(np.mean(steps))) if len(steps) else 0.0
+    off = steps[steps < 1.6 * interval] - interval
+    return float(steps.sum()), len(steps), float(np.sqrt(np.mean(off**2))) if len(off) else 0.0
 
 
 def missing_columns(measurement: Measurement) -> list[str]:
@@ -173,49 +147,43 @@ def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
     said = None if drive is None else drive.replace("_", " ")
     sensor = "joint_torque" in recording
     alone = recording.external != "unmeasured" and recording.load is None
-    if all(name in recording for name in POSITIONS):
-        if said is not None:
-            yield "motor_current", f"{said} against rotor, friction and what the torsion transmits"
-        if sensor:
-            yield "joint_torque", "joint torque against the torsion between both encoders"
-        if alone:
-            held = "joint torque" if sensor else "torsion between both encoders"
-            yield "link_balance", f"{held} against the link's inertia and gravity"
-    else:
-        if said is not None:
-            yield "motor_current", f"{said} against rotor, friction and link together"
-        if sensor and (alone or "link_position" not in recording):
-            name = "link_balance" if "link_position" in recording else "joint_torque"
-            yield name, "joint torque against the link's inertia and gravity"
+    both = all(name in recording for name in POSITIONS)
+    if said is not None:
+        others = "what the torsion transmits" if both else "link together"
+        yield "motor_current", f"{said} against rotor, friction and {others}"
+    if both and sensor:
+        yield "joint_torque", "joint torque against the torsion between both encoders"
+    if both and alone:
+        held = "joint torque" if sensor else "torsion between both encoders"
+        yield "link_balance", f"{held} against the link's inertia and gravity"
+    if not both and sensor and (alone or "link_position" not in recording):
+        name = "link_balance" if "link_position" in recording else "joint_torque"
+        yield name, "joint torque against the link's inertia and gravity"
 
 
 def too_little(measurement: Measurement, joint: Joint) -> str | None:
     """Return why no cause can show: slow log, short segments or no motion; None if causes can show."""
     samples, seconds = SETTINGS.shortest
-    fastest = 1 / min(r.interval for r in measurement.recordings)
+    fastest = _rate(measurement)
     if fastest < SLOWEST:
         return f"the log is slower than {SLOWEST:g} Hz ({fastest:.2g} samples a second), too slow for a diagnosis"
     parts = [
-        (recording, part)
-        for recording in measurement.recordings
-        for part in recording.segments
-        if part.stop - part.start >= samples and recording.time[part.stop - 1] - recording.time[part.start] >= seconds
-    ]
+        (r, part) for r in measurement.recordings for part in r.segments
+        if part.stop - part.start >= samples and r.time[part.stop - 1] - r.time[part.start] >= seconds
+    ]  # fmt: skip
     if not parts:
         return f"no part without gaps has {samples} samples and {seconds:g} s"
-    if any(_moves(recording, part, joint) for recording, part in parts):
-        return None
-    return "nothing moves"
+    return None if any(_moves(recording, part, joint) for recording, part in parts) else "nothing moves"
 
 
 def _moves(recording: Recording, part: slice, joint: Joint) -> bool:
     """Return whether the rotor moves in a part, as a diagnosis defines it; with a locked output it winds up the gear."""
-    rotor = _positions(recording, joint.numbers["N"].value)[0][part]
+    rotor = _positions(recording.columns, joint.numbers["N"].value)[0][part]
     travel = float(np.ptp(rotor))
-    if recording.link.locked or travel >= SETTINGS.settle_travel or travel < SETTINGS.rest_travel:
-        return travel >= SETTINGS.rest_travel
-    window = 2 * round(_RESTING / recording.interval) + 1
-    return bool((maximum_filter1d(rotor, window) - minimum_filter1d(rotor, window)).max() >= SETTINGS.rest_travel)
+    if not recording.link.locked and SETTINGS.rest_travel <= travel < SETTINGS.settle_travel:
+        window = 2 * round(_RESTING / recording.interval) + 1
+        travel = float((maximum_filter1d(rotor, window) - minimum_filter1d(rotor, window)).max())
+    return travel >= SETTINGS.rest_travel
 
 
 def torque_over_current(recording: Recording, joint: Joint) -> float | None:
@@ -241,14 +209,30 @@ def undetermined(
     Args:
       summaries: of the recordings, if available.
     """
-    found = _Extent.of(measurement, joint, summaries or [summarise(r, joint) for r in measurement.recordings])
-    nothing = too_little(measurement, joint)
-    reasons: dict[str, str] = {}
-    for name in causes.of(joint):
-        reason = next(_lacking(causes.get(name), found, nothing), None)
-        if reason is not None:
-            reasons[name] = reason
-    return reasons
+    summaries = summaries or [summarise(r, joint) for r in measurement.recordings]
+    columns = {name for r in measurement.recordings for name in r.columns}
+    both = any(all(name in r for name in POSITIONS) for r in measurement.recordings)
+    rate, passband = _rate(measurement), max(s.passband for s in summaries)
+    nothing, offered = too_little(measurement, joint), _offered(measurement, joint, summaries)
+
+    def lacking(cause: Cause) -> Iterator[str]:  # the simplest reason first
+        yield from _hidden_from(cause, columns, both)
+        if nothing is not None:
+            yield nothing
+        yield from _too_slow(cause, rate, passband)
+        if columns.isdisjoint(_DRIVE) and in_drive_alone(cause, joint, both):
+            yield "it affects the motor current alone, which is missing"
+        if "Jm" in {*cause.sets.values(), *cause.scales} and "motor_position" in columns:
+            louder = shaken(joint)
+            if louder > _SHAKEN:
+                yield f"the acceleration's noise from the motor encoder's counts is {louder:.2g} times the current's noise"
+        for name, text in _REQUIRED.items():
+            has, needed = offered[name], getattr(cause.requires, name)
+            if has < needed:
+                yield text.format(has, needed, 100 * has, 100 * needed)
+
+    reasons = {name: next(lacking(causes.get(name)), None) for name in causes.of(joint)}
+    return {name: reason for name, reason in reasons.items() if reason is not None}
 
 
 def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
@@ -298,100 +282,45 @@ def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterat
         yield cause.behind_link_encoder
 
 
-@dataclass(frozen=True)
-class _Extent:
-    """What a measurement offers for the requirements of causes (`models.causes.base.Requirements`)."""
-
-    joint: Joint
-    rate: float
-    passband: float
-    columns: frozenset[str]
-    both_encoders: bool
-    sliding: float
-    reversals: int
-    motor_turn: float
-    link_travel: float
-    highest: float
-    load_span: float
-    speed: float
-    duration: float
-    temperature_span: float
-    known_push: bool
-    gravity: bool
-    arm: bool
-    weighed: bool
-
-    @classmethod
-    def of(cls, measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary]) -> _Extent:
-        recordings = measurement.recordings
-        N, rated = joint.numbers["N"].value, joint.numbers["rated_torque"].value
-        ends = [_link_range(s, N) for s in summaries]
-        turns = [_rotor_range(s, N) for s in summaries]
-        warm = [s.ranges["temperature"] for s in summaries if "temperature" in s.ranges]
-        known = [
-            r for r in recordings if r.external != "unmeasured" and (r.load is None or "joint_torque" in r.columns)
-        ]
-        return cls(
-            joint=joint,
-            rate=_rate(measurement),
-            passband=max(s.passband for s in summaries),
-            columns=frozenset(name for r in recordings for name in r.columns),
-            both_encoders=any(all(name in r for name in POSITIONS) for r in recordings),
-            sliding=sum(s.sliding * s.duration for s in summaries),
-            reversals=sum(s.reversals for s in summaries),
-            motor_turn=max(high - low for low, high in turns) / _TURN,
-            link_travel=max(high - low for low, high in ends),
-            highest=max(high for _, high in ends),
-            load_span=(max(s.load[1] for s in summaries) - min(s.load[0] for s in summaries)) / rated,
-            speed=max(s.motor_speed for s in summaries) / joint.numbers["vs"].value,
-            duration=max(s.duration for s in summaries),
-            temperature_span=max(high for _, high in warm) - min(low for low, _ in warm) if warm else 0.0,
-            known_push=bool(known),
-            gravity=any(r.link.gravity_moment > 0 for r in known),
-            weighed=any(r.load is None or not r.columns.keys().isdisjoint(_DRIVE) for r in recordings),
-            arm=any(r.load is not None for r in recordings),
-        )
+_REQUIRED = {
+    "sliding": "the gear slides for {0:.2g} s, less than {1:g} s",
+    "reversal": "the motion never reverses",
+    "motor_turn": "the motor makes {0:.2g} turns, less than {1:g}",
+    "link_travel": "the link turns {0:.2g} rad, less than {1:g} rad",
+    "link_beyond": "the link goes no further than {0:.2g} rad, not beyond {1:g} rad",
+    "load_span": "the load spans {2:.2g} % of the rated torque, less than {3:g} %",
+    "speed": "the motor goes no faster than {0:.2g} times the Stribeck velocity, it takes {1:g}",
+    "duration": "the longest recording takes {0:.2g} s, less than {1:g} s",
+    "temperature_span": "the temperature changes by {0:.2g} K, less than {1:g} K",
+    "known_push": "in every recording unmeasured pushes may happen, or other joints of the arm move without a torque sensor",
+    "weighed": "the torque can be compared with the arm's mass model alone, which may be as wrong",
+    "arm": "no recording is of an arm whose other joints move",
+    "gravity": "no recording without unmeasured pushes, the arm's other joints still, has a gravity moment",
+}
+"""What causes require (`models.causes.base.Requirements`), and the reason if less is offered: {0} for {1}, {2} % for {3} %."""
 
 
-def _lacking(cause: Cause, found: _Extent, nothing: str | None) -> Iterator[str]:
-    """Yield why a cause cannot show, the simplest reason first; `nothing`: reason for all causes (`too_little`)."""
-    yield from _hidden_from(cause, found.columns, found.both_encoders)
-    if nothing is not None:
-        yield nothing
-    yield from _too_slow(cause, found.rate, found.passband)
-    if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint, found.both_encoders):
-        yield "it affects the motor current alone, which is missing"
-    if "Jm" in {*cause.sets.values(), *cause.scales} and "motor_position" in found.columns:
-        louder = shaken(found.joint)
-        if louder > _SHAKEN:
-            yield f"the acceleration's noise from the motor encoder's counts is {louder:.2g} times the current's noise"
-    needed = cause.requires
-    if found.sliding < needed.sliding:
-        yield f"the gear slides for {found.sliding:.2g} s, less than {needed.sliding:g} s"
-    if needed.reversal and found.reversals == 0:
-        yield "the motion never reverses"
-    if found.motor_turn < needed.motor_turn:
-        yield f"the motor makes {found.motor_turn:.2g} turns, less than {needed.motor_turn:g}"
-    if found.link_travel < needed.link_travel:
-        yield f"the link turns {found.link_travel:.2g} rad, less than {needed.link_travel:g} rad"
-    if found.highest < needed.link_beyond:
-        yield f"the link goes no further than {found.highest:.2g} rad, not beyond {needed.link_beyond:g} rad"
-    if found.load_span < needed.load_span:
-        yield f"the load spans {100 * found.load_span:.2g} % of the rated torque, less than {100 * needed.load_span:g} %"
-    if found.speed < needed.speed:
-        yield f"the motor goes no faster than {found.speed:.2g} times the Stribeck velocity, it takes {needed.speed:g}"
-    if found.duration < needed.duration:
-        yield f"the longest recording takes {found.duration:.2g} s, less than {needed.duration:g} s"
-    if found.temperature_span < needed.temperature_span:
-        yield f"the temperature changes by {found.temperature_span:.2g} K, less than {needed.temperature_span:g} K"
-    if needed.known_push and not found.known_push:
-        yield "in every recording unmeasured pushes may happen, or other joints of the arm move without a torque sensor"
-    if needed.weighed and not found.weighed:
-        yield "the torque can be compared with the arm's mass model alone, which may be as wrong"
-    if needed.arm and not found.arm:
-        yield "no recording is of an arm whose other joints move"
-    if needed.gravity and not found.gravity:
-        yield "no recording without unmeasured pushes, the arm's other joints still, has a gravity moment"
+def _offered(measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary]) -> dict[str, float]:
+    """Return what a measurement offers of `_REQUIRED`."""
+    recordings, value = measurement.recordings, {name: number.value for name, number in joint.numbers.items()}
+    motion = [_positions({n: np.array(x) for n, x in s.ranges.items()}, value["N"]) for s in summaries]
+    warm = [s.ranges["temperature"] for s in summaries if "temperature" in s.ranges]
+    known = [r for r in recordings if r.external != "unmeasured" and (r.load is None or "joint_torque" in r.columns)]
+    return {
+        "sliding": sum(s.sliding * s.duration for s in summaries),
+        "reversal": any(s.reversals for s in summaries),
+        "motor_turn": max(float(np.ptp(rotor)) for rotor, _ in motion) / _TURN,
+        "link_travel": max(float(np.ptp(link)) for _, link in motion),
+        "link_beyond": max(float(link.max()) for _, link in motion),
+        "load_span": (max(s.load[1] for s in summaries) - min(s.load[0] for s in summaries)) / value["rated_torque"],
+        "speed": max(s.motor_speed for s in summaries) / value["vs"],
+        "duration": max(s.duration for s in summaries),
+        "temperature_span": float(np.ptp(warm)) if warm else 0.0,
+        "known_push": bool(known),
+        "weighed": any(r.load is None or not r.columns.keys().isdisjoint(_DRIVE) for r in recordings),
+        "arm": any(r.load is not None for r in recordings),
+        "gravity": any(r.link.gravity_moment > 0 for r in known),
+    }
 
 
 _SHAKEN = 1.5
@@ -442,60 +371,41 @@ def in_drive_alone(cause: Cause, joint: Joint, both_encoders: bool = True) -> bo
         if any(p[name] != q[name] for name in ("Jl", "link_delay", "flexible_share")):
             return False
         for state in _TRIED:
-            if not np.allclose(_other_readings(state, p), _other_readings(state, q), rtol=1e-9, atol=0.0):
+            (others, rotor, drives), (others_after, rotor_after, drives_after) = (_effects(state, r) for r in (p, q))
+            moved = both_encoders and abs(rotor_after - rotor) > _READ * counts
+            if moved or not np.allclose(others, others_after, rtol=1e-9, atol=0.0):
                 return False
-            if both_encoders and abs(_rotor_position(state, q) - _rotor_position(state, p)) > _READ * counts:
-                return False
-            drive = drive or not np.isclose(_in_the_drive(state, p), _in_the_drive(state, q), rtol=1e-9, atol=0.0)
+            drive = drive or not np.isclose(drives, drives_after, rtol=1e-9, atol=0.0)
     return drive
 
 
-def _other_readings(state: State, p: np.void) -> list[float]:
-    """Return torsion torque, link torque, and readings of encoders and torque sensor in a state."""
+def _effects(state: State, p: np.void) -> tuple[list[float], float, float]:
+    """Return what a record's joint does in a state.
+
+    Returns:
+      Torsion torque, link torque, and readings of encoders and torque sensor; the rotor's angle [rad] in a steady motion of the
+      link, with wind-up under load and friction; the drive's transmitted torque, from the measured current.
+    """
     t = dynamics.transmission(state, p)
-    return [
+    others = [
         t.flexspline_torque, dynamics.link_torque(state, t.load, p), dynamics.read_motor_position(state, p),
         dynamics.read_link_position(state, t.load, p), dynamics.read_joint_torque(t.flexspline_torque, state, t.load, p),
     ]  # fmt: skip
-
-
-def _rotor_position(state: State, p: np.void) -> float:
-    """Return the rotor angle [rad] in a steady motion of the link, with wind-up under load and friction."""
-    motor, _, _ = dynamics.steady_motion(
-        state.link_position, state.link_velocity, 0.0, 0.0, state.time, state.temperature, p
-    )
-    return motor
-
-
-def _in_the_drive(state: State, p: np.void) -> float:
-    """Return the drive's transmitted torque in a state, from the measured current."""
-    load = dynamics.transmission(state, p).load
+    theta, v, time, temperature = state.link_position, state.link_velocity, state.time, state.temperature
+    rotor = dynamics.steady_motion(theta, v, 0.0, 0.0, time, temperature, p)[0]
     current = dynamics.actual_motor_current(
-        state.motor_current, state.motor_position, state.link_position, state.motor_velocity, load, state.time, p
+        state.motor_current, state.motor_position, theta, state.motor_velocity, t.load, time, p
     )
-    sliding = dynamics.sliding_friction(state, load, p)
-    return dynamics.transmitted_torque(state._replace(motor_current=current), 100.0, sliding, load, p)
+    sliding = dynamics.sliding_friction(state, t.load, p)
+    drive = dynamics.transmitted_torque(state._replace(motor_current=current), 100.0, sliding, t.load, p)
+    return others, rotor, drive
 
 
-def _positions(recording: Recording, N: float) -> tuple[np.ndarray, np.ndarray]:
+def _positions(columns: Mapping[str, np.ndarray], N: float) -> tuple[np.ndarray, np.ndarray]:
     """Return rotor and link angle [rad], shape (n,) each; a missing one by the gear ratio."""
-    motor, link = (recording.columns.get(name) for name in POSITIONS)
-    rotor = motor if motor is not None else N * recording["link_position"]
+    motor, link = (columns.get(name) for name in POSITIONS)
+    rotor = motor if motor is not None else N * columns["link_position"]
     return rotor, link if link is not None else rotor / N
-
-
-def _link_range(s: RecordingSummary, N: float) -> tuple[float, float]:
-    if "link_position" in s.ranges:
-        return s.ranges["link_position"]
-    low, high = s.ranges["motor_position"]
-    return low / N, high / N
-
-
-def _rotor_range(s: RecordingSummary, N: float) -> tuple[float, float]:
-    if "motor_position" in s.ranges:
-        return s.ranges["motor_position"]
-    low, high = s.ranges["link_position"]
-    return N * low, N * high
 
 
 def _load(recording: Recording, joint: Joint) -> np.ndarray:
@@ -512,13 +422,9 @@ def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:
     """Return the velocity of a position, shape (n,) [rad/s]; zero in segments that are too short to smooth."""
     v = np.zeros(len(position))
     pieces = (
-        slice(b, min(b + _BLOCK, part.stop))
-        for part in recording.segments
-        for b in range(part.start, part.stop, _BLOCK)
-    )
-    for part in pieces:
-        if part.stop - part.start < _FEWEST:
-            continue
+        slice(b, min(b + _BLOCK, part.stop)) for part in recording.segments for b in range(part.start, part.stop, _BLOCK)
+    )  # fmt: skip
+    for part in (piece for piece in pieces if piece.stop - piece.start >= _FEWEST):
         time = recording.time[part]
         s = smooth(time, position[part, None], max(2e-3, 0.5 * float(np.median(np.diff(time)))), 20.0)
         v[part] = np.interp(time, s.time, s.rate[:, 0])

@@ -258,12 +258,26 @@ class Layout(Strict):
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
-    def _complete(self) -> Layout:
+    def _one_load(self) -> Layout:
         loads = [name for name in ("link", "mounting", "arm") if getattr(self, name) is not None]
         if len(loads) != 1:
             raise ValueError(f"expected one of link, mounting and arm, got {' and '.join(loads) or 'none'}")
         if self.arm is not None and self.payloads:
             raise ValueError("payloads: expected them in arm, with the body that carries them, got them next to it")
+        for pattern, other in self.logs.items():
+            own = other.model_fields_set - {"external_torque"}
+            if self.arm is not None and own - {"arm"}:
+                given = " and ".join(sorted(own))
+                raise ValueError(f"logs.{pattern}: expected arm, as in the mapping (it can have payloads), got {given}")
+            if self.arm is None and other.arm:
+                expected = f"link, mounting or payload, as the mapping has {loads[0]}"
+                raise ValueError(f"logs.{pattern}: expected {expected}, got arm")
+            if other.link and other.mounting:
+                raise ValueError(f"logs.{pattern}: expected either link or mounting, got both")
+        return self
+
+    @model_validator(mode="after")
+    def _columns_fit(self) -> Layout:
         for name in self.columns:
             if name not in CHANNELS and (joint_of(name) is None or self.arm is None):
                 raise ValueError(f"columns.{name}: {unknown_key(name, CHANNELS)}")
@@ -274,40 +288,27 @@ class Layout(Strict):
         if self.columns["time"].integrate:
             raise ValueError("columns.time.integrate: expected false, as other columns are integrated over time")
         check_channels("columns", self.columns)
-        measured = "external_torque" in self.columns
-        if measured != (self.external_torque == "measured"):
-            raise ValueError("external_torque: expected 'measured' where columns has external_torque and only there")
-        for pattern, other in self.logs.items():
-            own = other.model_fields_set - {"external_torque"}
-            if self.arm is not None and own - {"arm"}:
-                raise ValueError(
-                    f"logs.{pattern}: expected arm, as in the mapping (it can have payloads), got "
-                    f"{' and '.join(sorted(own))}"
-                )
-            if self.arm is None and other.arm:
-                raise ValueError(
-                    f"logs.{pattern}: expected link, mounting or payload, as the mapping has {loads[0]}, got arm"
-                )
-            if other.link and other.mounting:
-                raise ValueError(f"logs.{pattern}: expected either link or mounting, got both")
-            if other.external_torque is not None and measured != (other.external_torque == "measured"):
-                raise ValueError(
-                    f"logs.{pattern}.external_torque: expected 'measured' where columns has external_torque and only there"
-                )
+        others = {f"logs.{pattern}.": other.external_torque for pattern, other in self.logs.items()}
+        for where, external in ({"": self.external_torque} | others).items():
+            if external is not None and (external == "measured") != ("external_torque" in self.columns):
+                expected = "'measured' where columns has external_torque and only there"
+                raise ValueError(f"{where}external_torque: expected {expected}")
         for name, channel in self.columns.items():
-            expected = CHANNELS[name].unit if name in CHANNELS else "rad"
+            unit = CHANNELS[name].unit if name in CHANNELS else "rad"
+            rate = f"{unit}/s" if channel.integrate else unit
+            key = "" if channel.sum is None else "sum.{}."
+            wrong = [
+                (f"{key}unit".format(i), rate, part.unit)
+                for i, part in enumerate(channel.parts)
+                if not part.makes(rate)
+            ]
             zero = channel.zero
-            if isinstance(zero, Zero) and zero.scale == 1.0 and UNITS[zero.unit][0] != expected:
-                raise ValueError(
-                    f"columns.{name}.zero.unit: expected one of {expected!r}, or a scale that makes it so, got {zero.unit!r}"
-                )
-            wanted = f"{expected}/s" if channel.integrate else expected
-            for i, part in enumerate(channel.parts):
-                if not part.makes(wanted):
-                    where = f"columns.{name}.unit" if channel.sum is None else f"columns.{name}.sum.{i}.unit"
-                    raise ValueError(
-                        f"{where}: expected one of {wanted!r}, or a scale that makes it so, got {part.unit!r}"
-                    )
+            if isinstance(zero, Zero) and zero.scale == 1.0 and UNITS[zero.unit][0] != unit:
+                wrong.insert(0, ("zero.unit", unit, zero.unit))
+            if wrong:
+                place, expected, got = wrong[0]
+                text = f"expected one of {expected!r}, or a scale that makes it so, got {got!r}"
+                raise ValueError(f"columns.{name}.{place}: {text}")
         return self
 
     def of(self, log: Path, joint: str | None = None) -> Layout:
@@ -471,12 +472,8 @@ def _damaged(layout: Layout, path: Path, faults: list[str], count: int, rows: in
     others = f"; {count} of {rows} rows are damaged" if count > 1 else ""
     text = f"{'; '.join(faults)}{', …' if 1 < len(faults) < count else ''}{others}"
     if layout.damaged_rows == "refuse" or count > rows - 2:
-        key = (
-            ""
-            if layout.damaged_rows == "leave_out"
-            else "; `damaged_rows: leave_out` in the mapping leaves such rows out"
-        )
-        raise InputError(f"{path}: {text}{key}")
+        key = "; `damaged_rows: leave_out` in the mapping leaves such rows out"
+        raise InputError(f"{path}: {text}{key if layout.damaged_rows == 'refuse' else ''}")
     warnings.warn(f"{path}: left out: {text}", InputWarning, stacklevel=3)
 
 

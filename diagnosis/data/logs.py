@@ -147,9 +147,7 @@ class Arrays(Log):
     def _numbers(values: np.ndarray) -> np.ndarray:
         if values.dtype.kind in "mM":
             return values.astype(f"{'timedelta64' if values.dtype.kind == 'm' else 'datetime64'}[ns]")
-        if (
-            values.dtype.kind in "fiub"
-        ):  # of nanoseconds of a date of today the last digits go: a quarter of a microsecond
+        if values.dtype.kind in "fiub":  # nanoseconds of a date of today lose a quarter of a microsecond
             return values.astype(np.float64)
         cells = [one.decode(errors="replace") if isinstance(one, bytes) else one for one in values.tolist()]
         return numbers(cells)
@@ -164,7 +162,7 @@ class Arrays(Log):
 
 Source = Path | BytesIO
 Reader = Callable[[Source, set[str], TextForm], Any]
-"""What makes nested arrays of a file: of what is read, the columns that are wanted, and what is stated of a table's form."""
+"""Reads nested arrays from a file, with a note if some are left out; gets the wanted columns and the table's stated form."""
 
 
 def _bytes(source: Source) -> bytes:
@@ -246,16 +244,13 @@ def _excel(source: Source, wanted: set[str], form: TextForm) -> Any:
             rows.pop()
         width = max((j + 1 for row in rows for j, cell in enumerate(row) if cell is not None), default=0)
         texts = [["" if cell is None else str(cell).strip() for cell in row[:width]] for row in rows[:400]]
-        head = find_head([_without_end(row) for row in texts], wanted, form.headless)
+        # A row with one cell is a title.
+        rows_ = [row[: len(row) if any(row[1:]) else int(any(row))] if len(row) > 1 else row for row in texts]
+        head = find_head(rows_, wanted, form.headless)
         body = [row for row in rows[head.begin :] if any(cell is not None for cell in row)]
         sheets[sheet.title] = {name: [row[j] for row in body] for j, name in enumerate(head.names) if body}
     found = {title: columns for title, columns in sheets.items() if columns}
     return next(iter(found.values())) if len(found) == 1 else found
-
-
-def _without_end(row: list[str]) -> list[str]:
-    """Return a row of cells; a row with one cell is a title."""
-    return row if any(row[1:]) or len(row) == 1 else row[:1] if any(row) else []
 
 
 def _json(source: Source, wanted: set[str], form: TextForm) -> Any:
@@ -274,7 +269,7 @@ def _json(source: Source, wanted: set[str], form: TextForm) -> Any:
                 if i < len(lines) - 1 or i < 2:
                     raise ValueError(first_line(error)) from None
         if len(entries) < len(lines):
-            return _Noted(entries, "the last line is left out: it is incomplete")
+            return entries, "the last line is left out: it is incomplete"
         return entries
 
 
@@ -286,14 +281,6 @@ def _split_table(data: Any) -> Any:
     if isinstance(data, list) and data and isinstance(data[0], list) and _is_text(data[0]):
         return dict(zip(data[0], map(list, zip(*data[1:], strict=False)), strict=False))
     return data
-
-
-@dataclass(frozen=True)
-class _Noted:
-    """Nested arrays, and what was left out of them."""
-
-    tree: Any
-    note: str
 
 
 def _arrow(source: Source, wanted: set[str], form: TextForm) -> Any:
@@ -316,12 +303,8 @@ def _arrow_column(column: Any) -> Any:
     if pa.types.is_duration(kind) or pa.types.is_time(kind):
         ticks = column.cast(pa.time64("ns") if pa.types.is_time(kind) else pa.duration("ns"))
         return ticks.cast(pa.int64()).to_numpy().astype("timedelta64[ns]")
-    if (
-        pa.types.is_floating(kind)
-        or pa.types.is_integer(kind)
-        or pa.types.is_decimal(kind)
-        or pa.types.is_boolean(kind)
-    ):
+    numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean)
+    if any(of_kind(kind) for of_kind in numeric):
         whole = pa.types.is_integer(kind) and not column.null_count
         return column.to_numpy() if whole else column.cast(pa.float64(), safe=False).to_numpy()
     if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
@@ -378,9 +361,8 @@ class _Text(Log):
         self._table = TextTable(path, _bytes(source), wanted, form.text)
         self.names = self._table.names
         self.units = self._table.head.units
-        self.note = (
-            f"the last line is left out: it is incomplete ({self._table.torn[:40]!r})" if self._table.torn else ""
-        )
+        torn = self._table.torn
+        self.note = f"the last line is left out: it is incomplete ({torn[:40]!r})" if torn else ""
         self._turns = next((k for pattern, k in form.interleaved.items() if fnmatchcase(path.name, pattern)), 0)
         if self._turns:
             if len(self.names) != 1:
@@ -418,19 +400,18 @@ class _Folder(Log):
     def __init__(self, path: Path, wanted: set[str] | None, form: LogForm):
         self.path = path
         files = [one for one in sorted(path.iterdir()) if one.is_file() and one.suffix not in _NO_TABLES]
-        asked = [one for one in files if wanted is None or any(name.startswith(f"{one.name}/") for name in wanted)]
+        mine = {
+            one: None if wanted is None else {n[len(one.name) + 1 :] for n in wanted if n.startswith(f"{one.name}/")}
+            for one in files
+        }
+        asked = {one: inner for one, inner in mine.items() if inner is None or inner}
         if not asked:
             raise InputError(
                 f"{path}: expected a ROS 2 bag with its metadata.yaml, found none; or columns of files in it as FILE/COLUMN, "
                 f"got none of {', '.join(one.name for one in files[:8]) or 'no file'}"
             )
         self._logs: dict[str, Log] = {}
-        for one in asked:
-            inner = (
-                None
-                if wanted is None
-                else {n.removeprefix(f"{one.name}/") for n in wanted if n.startswith(f"{one.name}/")}
-            )
+        for one, inner in asked.items():
             try:
                 self._logs[one.name] = open_log(one, inner, form)
             except InputError:
@@ -448,11 +429,11 @@ class _Folder(Log):
         for file, log in self._logs.items():
             mine = [column[len(file) + 1 :] for column in wanted if self._split(column)[0] is log]
             found |= {f"{file}/{name}": values for name, values in (log.read(mine) if mine else {}).items()}
-        lengths = {column: len(values) for column, values in found.items()}
-        if len(set(lengths.values())) > 1:
-            few, many = min(lengths, key=lambda c: lengths[c]), max(lengths, key=lambda c: lengths[c])
+        by_length = sorted(found, key=lambda column: len(found[column]))
+        few, many = by_length[0], by_length[-1]
+        if len(found[few]) != len(found[many]):
             raise InputError(
-                f"{self.path}: expected as many rows in every file, got {lengths[few]} of {few!r} and {lengths[many]} of "
+                f"{self.path}: expected as many rows in every file, got {len(found[few])} of {few!r} and {len(found[many])} of "
                 f"{many!r} (`interleaved` is for a file of one number a line)"
             )
         return {column: found[column] for column in wanted}
@@ -517,11 +498,7 @@ def _unpacked(path: Path, start: bytes) -> tuple[Source, str]:
     import lzma
     import zlib
 
-    openers: dict[bytes, Callable[[Path], Any]] = {
-        b"\x1f\x8b": gzip.open,
-        b"BZh": bz2.open,
-        b"\xfd7zXZ": lzma.open,
-    }
+    openers: dict[bytes, Callable[[Path], Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
     opener = next((one for magic, one in openers.items() if start.startswith(magic)), None)
     if opener is None:
         return path, ""
@@ -550,20 +527,18 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
       InputError: an unreadable log.
     """
     wanted, form = None if sources is None else set(sources), form or LogForm()
-    source: Source = path
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        return _Folder(path, wanted, form)
     if path.is_dir():
-        kind, note = "bag", ""
+        return open_messages(path, wanted) if (path / "metadata.yaml").is_file() else _Folder(path, wanted, form)
+    try:
+        with path.open("rb") as file:
+            start = file.read(600)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    source, note = _unpacked(path, start)
+    if isinstance(source, Path):
+        kind = _kind_of(path, start, source)
     else:
-        try:
-            with path.open("rb") as file:
-                start = file.read(600)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-        source, note = _unpacked(path, start)
-        inner = path if isinstance(source, Path) else path.with_suffix("")
-        kind = _kind_of(inner, start if isinstance(source, Path) else source.getvalue()[:600], source)
+        kind = _kind_of(path.with_suffix(""), source.getvalue()[:600], source)
     if kind in _REFUSED:
         raise InputError(f"{path}: not a format that is read: {_REFUSED[kind]}")
     if kind in ("bag", "mcap", "db3"):
@@ -577,8 +552,7 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
         reader, what = _READERS[kind]
         try:
             tree = reader(source, wanted or set(), form.text)
-            noted = tree if isinstance(tree, _Noted) else _Noted(tree, "")
-            log = Arrays(path, noted.tree, noted.note)
+            log = Arrays(path, *(tree if isinstance(tree, tuple) else (tree,)))
         except InputError:
             raise
         except Exception as error:  # of a library, for damaged files

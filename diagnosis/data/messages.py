@@ -43,24 +43,22 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-_VECTOR = """================================================================================
+_WRENCH = """================================================================================
+MSG: geometry_msgs/Wrench
+geometry_msgs/Vector3 force
+geometry_msgs/Vector3 torque
+================================================================================
 MSG: geometry_msgs/Vector3
 float64 x
 float64 y
 float64 z
 """
-JOINT_STATE = _HEADER.format("string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort")
-WRENCH_STAMPED = (
-    _HEADER.format("geometry_msgs/Wrench wrench")
-    + "================================================================================\nMSG: geometry_msgs/Wrench\n"
-    + "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
-    + _VECTOR
-)
-TEMPERATURE = _HEADER.format("float64 temperature\nfloat64 variance")
 DEFINITIONS = {
-    "sensor_msgs/msg/JointState": JOINT_STATE,
-    "geometry_msgs/msg/WrenchStamped": WRENCH_STAMPED,
-    "sensor_msgs/msg/Temperature": TEMPERATURE,
+    "sensor_msgs/msg/JointState": _HEADER.format(
+        "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"
+    ),
+    "geometry_msgs/msg/WrenchStamped": _HEADER.format("geometry_msgs/Wrench wrench") + _WRENCH,
+    "sensor_msgs/msg/Temperature": _HEADER.format("float64 temperature\nfloat64 variance"),
     "std_msgs/msg/Float64": "float64 data\n",
     "std_msgs/msg/Float32": "float32 data\n",
 }
@@ -169,8 +167,15 @@ def open_messages(path: Path, wanted: Set[str] | None = None) -> Messages:
     """
     topics: dict[str, _Topic] = {}
     others: dict[str, None] = {}
+
+    def is_wanted(topic: str) -> bool:
+        found = wanted is None or any(column.startswith(f"{topic}/") for column in wanted)
+        if not found:
+            others[topic] = None
+        return found
+
     reader = _mcap if path.suffix == ".mcap" else _bag
-    for topic, logged, message in reader(path, lambda topic: _is_wanted(topic, wanted, others)):
+    for topic, logged, message in reader(path, is_wanted):
         one = topics.setdefault(topic, _Topic())
         try:
             _add(one, topic, logged, message, wanted)
@@ -180,13 +185,6 @@ def open_messages(path: Path, wanted: Set[str] | None = None) -> Messages:
         known = f"; it has {', '.join(others)}" if others else ""
         raise InputError(f"{path}: expected messages of the topics that the mapping names, got none{known}")
     return Messages(path, topics, others)
-
-
-def _is_wanted(topic: str, wanted: Set[str] | None, others: dict[str, None]) -> bool:
-    if wanted is None or any(column.startswith(f"{topic}/") for column in wanted):
-        return True
-    others[topic] = None
-    return False
 
 
 def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: Set[str] | None) -> None:
@@ -280,34 +278,16 @@ def _numbers(message: Any, prefix: str = "", names: list[str] | None = None) -> 
         for index, one in enumerate(message):
             yield from _numbers(one, f"{prefix}{names[index] if names else index}/")
     else:
-        for key in message if isinstance(message, dict) else _fields(message):
+        own = getattr(message, "__slots__", None) or getattr(message, "__dict__", {})
+        fields = message if isinstance(message, dict) else [name for name in own if not name.startswith("_")]
+        for key in fields:
             found = _inside(message, key)
             yield from _numbers(found, f"{prefix}{key}/", _names_of(message, found))
-
-
-def _fields(message: Any) -> list[str]:
-    named = getattr(message, "__slots__", None) or getattr(message, "__dict__", {})
-    return [name for name in named if not name.startswith("_")]
 
 
 Wanted = Callable[[str], bool]
 Found = Iterator[tuple[str, int, Any]]
 """Topic, when it was logged [ns], and the message."""
-
-
-def _ros2() -> Any:
-    """What decodes messages of ROS 2.
-
-    Raises:
-      InputError: it is not installed.
-    """
-    try:
-        from mcap_ros2.decoder import DecoderFactory
-    except ImportError as error:
-        raise InputError(
-            "reading MCAP files: expected the packages mcap and mcap-ros2-support; install flexspline[mcap]"
-        ) from error
-    return DecoderFactory()
 
 
 def _decoder(factory: Any, path: Path, topic: str, encoding: str, schema: Any) -> Callable[[bytes], Any]:
@@ -332,40 +312,39 @@ def _decoder(factory: Any, path: Path, topic: str, encoding: str, schema: Any) -
 
 
 def _mcap(path: Path, wanted: Wanted) -> Found:
-    factory = _ros2()
-    from mcap.reader import make_reader
+    try:
+        from mcap.reader import make_reader
+        from mcap_ros2.decoder import DecoderFactory
+    except ImportError as error:
+        raise InputError(
+            "reading MCAP files: expected the packages mcap and mcap-ros2-support; install flexspline[mcap]"
+        ) from error
+    factory = DecoderFactory()
 
     with path.open("rb") as stream:
         try:
             reader = make_reader(stream)
             summary = reader.get_summary()
-            if summary is not None:
-                chosen = [c.topic for c in summary.channels.values() if wanted(c.topic)]
-                if not chosen:
-                    return
-            else:
-                chosen = None
-            decoders: dict[int, Callable[[bytes], Any] | None] = {}
+            chosen = None if summary is None else [c.topic for c in summary.channels.values() if wanted(c.topic)]
+            if chosen == []:
+                return
+            decoders: dict[int, Callable[[bytes], Any]] = {}
             for schema, channel, message in reader.iter_messages(topics=chosen):
+                topic = channel.topic
+                if not wanted(topic):
+                    continue
                 if channel.id not in decoders:
-                    read = summary is not None or wanted(channel.topic)
-                    decoders[channel.id] = (
-                        _decoder(factory, path, channel.topic, channel.message_encoding, schema) if read else None
-                    )
-                decode = decoders[channel.id]
-                if decode is not None:
-                    yield channel.topic, message.log_time, _decoded(path, channel.topic, decode, message.data)
+                    decoders[channel.id] = _decoder(factory, path, topic, channel.message_encoding, schema)
+                try:
+                    found = decoders[channel.id](message.data)
+                except Exception as error:  # of bytes that are none of such a message
+                    kind = type(error).__name__
+                    raise InputError(f"{path}: topic {topic}: not a readable message: {kind}: {error}") from error
+                yield topic, message.log_time, found
         except InputError:
             raise
         except Exception as error:  # of a library, for damaged files
             raise InputError(f"{path}: not a readable MCAP file: {first_line(error)}") from error
-
-
-def _decoded(path: Path, topic: str, decode: Callable[[bytes], Any], data: bytes) -> Any:
-    try:
-        return decode(data)
-    except Exception as error:  # of bytes that are none of such a message
-        raise InputError(f"{path}: topic {topic}: not a readable message: {type(error).__name__}: {error}") from error
 
 
 def _bag(path: Path, wanted: Wanted) -> Found:

@@ -35,10 +35,7 @@ __all__ = ["NO_CHANGE", "Mistake", "find_mistakes", "mended", "mended_if_possibl
 
 @dataclass(frozen=True)
 class ClaimSettings:
-    """When a change is accepted; in log likelihood unless stated.
-
-    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-    """
+    """When a change is accepted; in log likelihood unless stated. Set on `benchmarks/mistakes.py`."""
 
     sure: float = 7.0  # gain beyond its price above which a change is accepted
     at_odds: float = 0.1  # by how much a change may worsen a misfit
@@ -163,13 +160,13 @@ class _State:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A change in one recording: channels with it, relations before and after, whether nothing changes, gain and cost."""
+    """A change in one recording."""
 
-    motion: SmoothedChannels | None
-    before: dict[str, RelationFit]
-    after: dict[str, RelationFit]
-    same: bool
-    more: float
+    motion: SmoothedChannels | None  # channels with it
+    before: dict[str, RelationFit]  # relations without it
+    after: dict[str, RelationFit]  # with it
+    same: bool  # nothing changes
+    more: float  # gain
     cost: float
 
     @property
@@ -229,8 +226,9 @@ class _Search:
     def best(self) -> _State:
         """Return the state that no further change improves enough."""
         states, best = [self.start], self.start
+        vague = any(fit.vague for fits in self.start.fits for fit in fits.values())
         for depth in range(SETTINGS.most):
-            looked = [s for s in states if any(map(_suspicious, s.fits)) or (depth == 0 and _vague(s.fits))]
+            looked = [s for s in states if any(map(_suspicious, s.fits)) or (depth == 0 and vague)]
             further = [s for state in looked for s in self._steps(state)]
             states = sorted(further, key=lambda s: -s.score)[: SETTINGS.kept]
             if not states or states[0].score <= best.score + SETTINGS.sure:
@@ -351,11 +349,6 @@ def _suspicious(fits: dict[str, RelationFit]) -> bool:
     return any(fit.suspicious for fit in fits.values())
 
 
-def _vague(fits: _Fits) -> bool:
-    """Return whether a residual is not much smaller than expected."""
-    return any(fit.vague for relations in fits for fit in relations.values())
-
-
 def _beyond(before: dict[str, RelationFit], after: dict[str, RelationFit]) -> bool:
     """Return whether a change requires a description that is wrong by more than a few times."""
     return any(fit.at_bound and not (name in before and before[name].at_bound) for name, fit in after.items())
@@ -378,11 +371,11 @@ def _said(fit: RelationFit) -> float:
 
 def _gained(before: _Fits, after: _Fits, but: str = "") -> float:
     """Return the gain in log likelihood of all relations except one."""
-    return sum(
-        sum(fit.readings for name, fit in fits.items() if name != but) * sign
-        for sign, all_of_them in ((1, after), (-1, before))
-        for fits in all_of_them
-    )
+
+    def said(fits: _Fits) -> float:
+        return sum(fit.readings for relations in fits for name, fit in relations.items() if name != but)
+
+    return said(after) - said(before)
 
 
 def _not_followed(before: _Fits, after: _Fits) -> bool:

@@ -74,14 +74,12 @@ class _Column:
     """A column and what its name says."""
 
     name: str
-    values: np.ndarray
-    """Shape (n,), finite ones alone."""
+    values: np.ndarray  # finite ones, shape (n,)
     kind: str
     side: str
     command: bool
     unit: str | None
-    of: tuple[str, ...]
-    """Rest of its name: a joint's number or name."""
+    of: tuple[str, ...]  # rest of its name: a joint's number or name
     dated: bool = False
 
 
@@ -89,15 +87,11 @@ def _split(name: str) -> list[str]:
     """Words and numbers of a name, in small letters."""
     spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
     spaced = re.sub(r"([A-Z])([A-Z][a-z])", r"\1 \2", spaced)
-    return [part for word in re.findall(r"[a-zµäöü]+|\d+", spaced.lower()) for part in _apart(word)]
-
-
-def _apart(word: str) -> tuple[str, ...]:
-    """A word, or the two known ones that it is made of, as `motorinc`."""
-    if word in _KNOWN:
-        return (word,)
-    cuts = ((word[:i], word[i:]) for i in range(3, len(word) - 2))
-    return next((pair for pair in cuts if _KNOWN.issuperset(pair)), (word,))
+    found: list[str] = []
+    for word in re.findall(r"[a-zµäöü]+|\d+", spaced.lower()):
+        cuts = ((word[:i], word[i:]) for i in range(3, len(word) - 2)) if word not in _KNOWN else ()
+        found += next((pair for pair in cuts if _KNOWN.issuperset(pair)), (word,))  # two known ones, as `motorinc`
+    return found
 
 
 def _unit_of(name: str, stated: str | None) -> str | None:
@@ -234,11 +228,6 @@ def _angle(column: _Column, given: str | None = None) -> tuple[dict, str]:
     return found, why
 
 
-def _turn(quantity: dict) -> float:
-    """A turn in an angle's unit."""
-    return float(2 * np.pi / UNITS[quantity["unit"]][1] * quantity.get("counts", 1))
-
-
 def _quantity(column: _Column) -> tuple[dict, str]:
     """Unit of a current, torque, temperature or duty, and why."""
     largest = float(np.max(np.abs(column.values)))
@@ -289,7 +278,8 @@ def _joint(columns: list[_Column]) -> tuple[tuple[str, ...], list[tuple[str, ...
     for c in columns:
         if c.kind == "position" and not c.command and (c.of in driven or () in driven or not driven):
             quantity, _ = _angle(c)
-            values = np.unwrap(c.values, period=_turn(quantity)) if "wraps" in quantity else c.values
+            turn = 2 * np.pi / UNITS[quantity["unit"]][1] * quantity.get("counts", 1)
+            values = np.unwrap(c.values, period=turn) if "wraps" in quantity else c.values
             moves[c.of] = max(moves.get(c.of, 0.0), float(np.std(values)))
     chosen = max(moves, key=lambda key: moves[key], default=())
     return chosen, [key for key in moves if key != chosen]

@@ -23,10 +23,7 @@ from .plausibility import smallest_step
 
 @dataclass(frozen=True)
 class SampleSettings:
-    """Thresholds of wrong samples.
-
-    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-    """
+    """Thresholds of wrong samples. Set on `benchmarks/mistakes.py`."""
 
     neighbours: int = 9  # steps whose median is the local speed
     far: float = 8.0  # least size of a far step, over the 99 % quantile of steps
@@ -229,14 +226,12 @@ class _Steps:
         intervals, self.step = np.diff(time), np.diff(x)
         self.inside = intervals <= max(GAP, 5 * float(np.median(intervals)))
         # In place: an hour at 1 kHz has 29 MB per array.
-        speed = self.step / intervals
-        speed[~self.inside] = 0.0
-        off = median_filter(speed, SETTINGS.neighbours, mode="nearest")
+        speed = np.divide(self.step, intervals, out=np.zeros(len(intervals)), where=self.inside)
+        self.off = median_filter(speed, SETTINGS.neighbours, mode="nearest")
         del speed
-        off *= intervals
-        np.subtract(self.step, off, out=off)
-        off[~self.inside] = 0.0
-        self.off = off
+        self.off *= intervals
+        np.subtract(self.step, self.off, out=self.off, where=self.inside)
+        self.off[~self.inside] = 0.0
         smallest = float(np.min(np.abs(self.step), where=self.step != 0, initial=np.inf))
         largest = min(max(float(x.max()), -float(x.min())), 1e30)
         self.quantum = max(smallest if np.isfinite(smallest) else 0.0, float(np.spacing(np.float32(largest))))
@@ -264,20 +259,15 @@ class _Steps:
 
         They are compared with a running median; steps must be ordinary without them.
         """
-        way = np.zeros(len(self.x))
-        np.cumsum(self.off, out=way[1:])
-        off = median_filter(way, SETTINGS.window, mode="nearest")
-        np.subtract(way, off, out=off)
-        np.abs(off, out=off)
+        way = np.concatenate([[0.0], np.cumsum(self.off)])
+        off = np.abs(way - median_filter(way, SETTINGS.window, mode="nearest"))
         limit = max(SETTINGS.far * float(np.quantile(off, SETTINGS.usual)), SETTINGS.quanta * self.quantum, 1e-12)
         if not np.any(off > limit):
             return np.empty(0, int)
         about = percentile_filter(off, 100 * SETTINGS.calm, 2 * SETTINGS.around + 1, mode="nearest")
         far = (off > limit) & (off > SETTINGS.alone * about)
-        begins, lengths = _runs(far)
-        for begin, length in zip(begins.tolist(), lengths.tolist(), strict=True):
-            if length > SETTINGS.longest:
-                far[begin : begin + length] = False
+        lengths = np.diff(_edges(far))
+        far &= np.repeat(lengths, lengths) <= SETTINGS.longest
         rows = np.flatnonzero(far)
         if not len(rows):
             return rows
@@ -410,12 +400,6 @@ def _power_cycles(time: np.ndarray, columns: Mapping[str, np.ndarray], N: float)
     return found[~np.array(back, bool)] + 1
 
 
-def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return first samples and lengths of runs of equal values."""
-    edges = _edges(x)
-    return edges[:-1], np.diff(edges)
-
-
 def _edges(x: np.ndarray) -> np.ndarray:
     """Return the first samples of runs of equal values, and the number of samples."""
     begins = np.ones(len(x) + 1, bool)
@@ -432,7 +416,8 @@ def _still(
       limit: physical limit of the column.
     """
     x, none = columns[name], np.empty(0, int)
-    begins, lengths = _runs(x)
+    edges = _edges(x)
+    begins, lengths = edges[:-1], np.diff(edges)
     if len(begins) == 1:
         moves = any(np.ptp(columns[n]) > 0 for n in columns if n != name and n != "temperature")
         wanted = name in DRIVING or _moves_meanwhile(columns, name, slice(0, len(x)), N)
@@ -494,6 +479,7 @@ def _clipped(
     found = [np.empty(0, int)]
     if len(edges) <= 50:
         return found[0]
+    moving = [columns[n] for n in POSITIONS if n in columns]
     # Counts of the extreme value, and of the eight values next to it.
     for value, counts in ((x.max(), np.diff(edges[-10:])[::-1]), (x.min(), np.diff(edges[:10]))):
         mine = x[begins] == value
@@ -502,13 +488,9 @@ def _clipped(
             continue
         if counts[0] >= SETTINGS.flat and longest >= 3 and counts[0] > SETTINGS.peaked * counts[1:].max():
             rows = np.flatnonzero(x == value)
+            runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
             # A held pose has a constant torque.
-            moved = [
-                _moved_within(columns[n], rows) > SETTINGS.driven * np.ptp(columns[n])
-                for n in POSITIONS
-                if n in columns
-            ]
-            if any(moved):
+            if any(max(np.ptp(a[run]) for run in runs) > SETTINGS.driven * np.ptp(a) for a in moving):
                 found.append(rows)
     return np.sort(np.concatenate(found))
 
@@ -516,9 +498,3 @@ def _clipped(
 def _at(value: float, limit: float) -> bool:
     """Return whether a value is at the physical limit of a column."""
     return abs(abs(value) / limit - 1) < 0.02
-
-
-def _moved_within(x: np.ndarray, rows: np.ndarray) -> float:
-    """Return the largest motion of an angle within a run of samples."""
-    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    return max(float(np.ptp(x[run])) for run in runs)

@@ -26,7 +26,7 @@ from ...models import dynamics, laws
 from ...models.joint import Joint
 from ...models.joint_parts import EncoderSpec, Mounting
 from ...models.kernels import kernel
-from ...models.motion import CUTOFF, SHARE, Smooth, passband, smooth
+from ...models.motion import CUTOFF, SHARE, passband, smooth
 from ...models.recording import Recording
 
 STEP = 1e-3
@@ -43,36 +43,23 @@ UNITS = {"motor_current": "A", "joint_torque": "N·m", "link_balance": "N·m"}
 
 @dataclass(frozen=True)
 class SegmentSettings:
-    """Settings of segments.
+    """Settings of segments."""
 
-    Attributes:
-      held_out_block, held_out_every: length [s] of held-out blocks, every n-th of which is held out.
-      settle_time: at both ends of a segment, where smoother and transmission settle [s].
-      settle_travel: of the rotor, after which the unknown initial state of the friction is forgotten [rad].
-      rest_travel: of the rotor within ±40 ms, below which presliding friction does not average out [rad]; rest_counts: encoder
-        counts, below which these do not.
-      shortest: least samples and seconds of a segment.
-      block: most residuals that count as one, for slow motion with noise above.
-      above_noise: least power ratio of measured acceleration to its noise that counts as motion.
-      shaken: noise of the rotor's acceleration, as a current, over the current's noise above which more residuals count as one.
-      following: passband of the rotor's motion from the link encoder, over the described resonance of the link against a fixed
-        rotor; slowest: its least value [Hz].
-      readings: passband over sample rate of readings with such a motion; they are not differentiated.
-    """
-
-    held_out_block: float = 0.5
-    held_out_every: int = 6
-    settle_time: float = 0.06
-    settle_travel: float = 0.6
-    rest_travel: float = 0.06
-    rest_counts: float = 2.0
-    shortest: tuple[int, float] = (50, 0.5)
-    block: int = 8
-    above_noise: float = 10.0
+    held_out_block: float = 0.5  # length of held-out blocks [s]
+    held_out_every: int = 6  # blocks of which one is held out
+    settle_time: float = 0.06  # at both ends of a segment, where smoother and transmission settle [s]
+    settle_travel: float = 0.6  # of the rotor, after which the unknown initial state of the friction is forgotten [rad]
+    rest_travel: float = 0.06  # of the rotor within ±40 ms, below which presliding friction does not average out [rad]
+    rest_counts: float = 2.0  # of the encoder in the same time, below which these do not
+    shortest: tuple[int, float] = (50, 0.5)  # least samples and seconds of a segment
+    block: int = 8  # most residuals that count as one, for slow motion with noise above
+    above_noise: float = 10.0  # least power ratio of measured acceleration to its noise that counts as motion
+    # noise of the rotor's acceleration, as a current, over the current's noise above which more residuals count as one
     shaken: float = 0.9
+    # passband of the rotor's motion from the link encoder, over the described resonance of the link against a fixed rotor
     following: float = 0.5
-    slowest: float = 1.0
-    readings: float = 0.8
+    slowest: float = 1.0  # least passband of such a motion [Hz]
+    readings: float = 0.8  # passband over sample rate of readings with such a motion; they are not differentiated
 
 
 SETTINGS = SegmentSettings()
@@ -80,61 +67,38 @@ SETTINGS = SegmentSettings()
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of a recording without gaps, smoothed; n replay steps, k residuals.
+    """A part of a recording without gaps, smoothed; n replay steps, k residuals."""
 
-    Attributes:
-      recording: index of its recording in the measurement.
-      name: of that recording.
-      time: of each replay step since the recording's start [s], shape (n,).
-      rotor: motor encoder's reading and its two derivatives [rad], shape (n, 3).
-      link: link encoder's reading and its two derivatives [rad], shape (n, 3); where it is not measured, as described.
-      rotor_measured: whether there is a motor encoder; otherwise the rotor's angle follows from the link's.
-      link_measured: whether the motion of both ends was measured; else the link's is simulated.
-      weighed: whether the link balance uses measured motion: with both encoders, or with a link encoder and a torque sensor.
-      torque: joint torque reading [N·m], shape (n,); empty without a sensor.
-      external: known torque on the link [N·m], shape (n,); arm: the part of it that other links of an arm make.
-      temperature: [°C], shape (n,).
-      mounting: of the link.
-      stiffness: sum of the described joint's K1 to K3 [N·m/rad].
-      at: time of each residual [s], shape (k,).
-      measured: decimated readings of current and joint torque (zero where there is none), shape (k, 2).
-      measured_rate, measured_bend: their first [1/s] and second [1/s²] derivatives in time, shape (k, 2).
-      state: decimated θm, θl, θm', θl' and θl'', shape (k, 5), for weights and regressors.
-      load: joint torque on the link [N·m], shape (k,): measured, or from the described link and known pushes.
-      balances: which balances can be formed, shape (len(BALANCES),), bool.
-      usable: which residuals count, shape (k, len(BALANCES)).
-      held_out: residuals kept from every fit, same shape.
-      at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
-      passband: of the smoother, as turns per radian of a shaft that makes one in 1/fc: 1/(2π fc) [s].
-      block: residuals that count as one (`SegmentSettings.block`).
-    """
-
-    recording: int
-    name: str
-    time: np.ndarray
-    rotor: np.ndarray
-    link: np.ndarray
-    rotor_measured: bool
-    link_measured: bool
-    weighed: bool
-    torque: np.ndarray
-    external: np.ndarray
-    arm: np.ndarray
-    temperature: np.ndarray
-    mounting: Mounting
-    stiffness: float
-    at: np.ndarray
-    measured: np.ndarray
-    measured_rate: np.ndarray
-    measured_bend: np.ndarray
-    state: np.ndarray
-    load: np.ndarray
-    balances: np.ndarray
-    usable: np.ndarray
-    held_out: np.ndarray
-    at_rest: np.ndarray
-    passband: float
-    block: int = 1
+    recording: int  # index of its recording in the measurement
+    name: str  # of that recording
+    time: np.ndarray  # of each replay step since the recording's start [s], shape (n,)
+    rotor: np.ndarray  # motor encoder's reading and its two derivatives [rad], shape (n, 3)
+    link: np.ndarray  # the same of the link encoder; without it, as described
+    rotor_measured: bool  # by a motor encoder; otherwise the rotor's angle follows from the link's
+    link_measured: bool  # the motion of both ends; otherwise the link's is simulated
+    weighed: (
+        bool  # the link balance uses measured motion: of both encoders, or of the link encoder with a torque sensor
+    )
+    torque: np.ndarray  # joint torque reading [N·m], shape (n,); empty without a sensor
+    external: np.ndarray  # known torque on the link [N·m], shape (n,)
+    arm: np.ndarray  # its part from other links of an arm, shape (n,)
+    temperature: np.ndarray  # [°C], shape (n,)
+    mounting: Mounting  # of the link
+    stiffness: float  # sum of the described joint's K1 to K3 [N·m/rad]
+    at: np.ndarray  # time of each residual [s], shape (k,)
+    measured: np.ndarray  # decimated readings of current and joint torque (zero without a sensor), shape (k, 2)
+    measured_rate: np.ndarray  # their first derivative in time [1/s], shape (k, 2)
+    measured_bend: np.ndarray  # their second derivative [1/s²], shape (k, 2)
+    state: np.ndarray  # decimated θm, θl, θm', θl' and θl'', shape (k, 5), for weights and regressors
+    load: (
+        np.ndarray
+    )  # joint torque on the link [N·m], shape (k,): measured, or from the described link and known pushes
+    balances: np.ndarray  # which balances can be formed, shape (len(BALANCES),), bool
+    usable: np.ndarray  # which residuals count, shape (k, len(BALANCES))
+    held_out: np.ndarray  # residuals kept from every fit, same shape
+    at_rest: np.ndarray  # the rotor moves so little that its encoder's counts do not average out, shape (k,)
+    passband: float  # of the smoother, as turns per radian of a shaft that makes one in 1/fc: 1/(2π fc) [s]
+    block: int = 1  # residuals that count as one (`SegmentSettings.block`)
 
     @cached_property
     def link_cosine(self) -> np.ndarray:
@@ -191,14 +155,12 @@ def undisturbed(recordings: Sequence[Recording]) -> list[Recording]:
     return [r for r in recordings if not pushed(r)] or list(recordings)
 
 
-def segments(
-    recordings: Sequence[Recording | Conditioned], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
-) -> tuple[list[Segment], list[Segment]]:
+def segments(recordings: Sequence[Recording | Conditioned], joint: Joint) -> tuple[list[Segment], list[Segment]]:
     """Smooth every segment of every recording, conditioned or not; return segments and noise replicates.
 
     Recordings with unmeasured pushes (`pushed`) do not count if there are others.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     found, replicates = [], []
     prepared = [r if isinstance(r, Conditioned) else condition(r, joint) for r in recordings]
     counted = undisturbed([c.recording for c in prepared])
@@ -206,9 +168,9 @@ def segments(
         recording = conditioned.recording
         for part in recording.segments:
             time = recording.time[part]
-            if len(time) < settings.shortest[0] or time[-1] - time[0] < settings.shortest[1]:
+            if len(time) < SETTINGS.shortest[0] or time[-1] - time[0] < SETTINGS.shortest[1]:
                 continue
-            one, replicate = _segment(conditioned, index, part, joint, rng, settings)
+            one, replicate = _segment(conditioned, index, part, joint, rng)
             if not any(recording is r for r in counted):
                 none = np.zeros_like(one.usable)
                 one, replicate = (replace(s, usable=none, held_out=none) for s in (one, replicate))
@@ -224,146 +186,131 @@ def mirrored(segment: Segment, replicate: Segment) -> Segment:
 
 
 def _segment(
-    conditioned: Conditioned, index: int, part: slice, joint: Joint, rng, settings: SegmentSettings
+    conditioned: Conditioned, index: int, part: slice, joint: Joint, rng: np.random.Generator
 ) -> tuple[Segment, Segment]:
     recording = conditioned.recording
     p = joint.record(recording.link)[0]
     channels, noise = _channels(conditioned, part, joint, p, rng)
     names = list(channels)
-    values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
-    link_measured = "link_position" in recording and "motor_position" in recording
+    link_measured = all(name in recording for name in ENCODERS)
+    has_torque = "joint_torque" in recording
     # Pushes that nobody measured may be anything.
-    alone = "joint_torque" in recording and recording.external != "unmeasured"
-    weighed = "link_position" in recording and (link_measured or alone)
-    s, whole, settle = _smoothed(conditioned, recording.time[part], values, names, weighed, p, settings)
-    place = {name: i for i, name in enumerate(names)}
-
-    def of(name: str, what: np.ndarray, noisy: bool = False) -> np.ndarray:
-        return what[:, place[name] + (len(names) if noisy else 0)]
-
-    def motion(name: str, noisy: bool) -> np.ndarray:
-        return np.column_stack([of(name, what, noisy) for what in (s.value, s.rate, s.acceleration)])
-
-    n = len(s.time)
-    rotor, rotor_noise = motion("motor_position", False), motion("motor_position", True)
-    link, link_noise = motion("link_position", False), motion("link_position", True)
-    has = {b: b in names for b in ("motor_current", "joint_torque")}
-    zero = np.zeros(n)
-    (read, read_noise), (read_rate, noise_rate), (read_bend, noise_bend) = (
-        [
-            np.column_stack([of(b, what, noisy) if has[b] else zero for b in ("motor_current", "joint_torque")])
-            for noisy in (False, True)
-        ]
-        for what in (s.value, s.rate, s.acceleration)
-    )
-    since = s.time - recording.time[0]
-    external = np.ascontiguousarray(of("external_torque", s.value)) if "external_torque" in place else zero
-    arm = np.ascontiguousarray(of("arm_torque", s.value)) if "arm_torque" in place else zero
-    temperature = np.full(n, p["reference_temperature"])
+    weighed = "link_position" in recording and (link_measured or (has_torque and recording.external != "unmeasured"))
+    values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
+    time, values, whole, settle = _smoothed(conditioned, recording.time[part], values, names, weighed, p)
+    clean = {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(names)}
+    drawn = {name: values[:, len(names) + i] for i, name in enumerate(names)}
+    zero = np.zeros((len(time), 3))
+    rotor, link = (clean[name] for name in ENCODERS)
+    read, read_noise = (np.stack([of.get(b, zero) for b in BALANCES[:LINK]], axis=1) for of in (clean, drawn))
+    external, arm = (np.ascontiguousarray(clean.get(n, zero)[:, 0]) for n in ("external_torque", "arm_torque"))
+    temperature = np.full(len(time), p["reference_temperature"])
     if "temperature" in recording:
-        temperature = np.interp(s.time, recording.time[part], recording["temperature"][part])
+        temperature = np.interp(time, recording.time[part], recording["temperature"][part])
+    since = time - recording.time[0]
     at = decimate(since)
     state = decimate(np.column_stack([rotor[:, 0], link[:, 0], rotor[:, 1], link[:, 1], link[:, 2]]))
-    measured = decimate(read)
-    at_rest = _at_rest(state[:, 0], max(settings.rest_travel, settings.rest_counts * _rotor_count(recording, joint, p)))
+    measured, rate, bend = np.moveaxis(decimate(read), -1, 0)
     # With one encoder the sensor is compared with the link's motion, measured or simulated.
-    transmitted = has["joint_torque"] and (link_measured or not weighed)
-    balances = np.array([has["motor_current"], transmitted, weighed])
-    usable, held_out = _usable(recording, index, at, state[:, 0], balances, has["joint_torque"], settle, settings)
-    load = measured[:, TORQUE] if has["joint_torque"] else _own_torque(p, state) - decimate(external)
+    balances = np.array(["motor_current" in recording, has_torque and (link_measured or not weighed), weighed])
+    usable, held_out = _usable(recording, index, at, state[:, 0], balances, settle)
     one = Segment(
-        recording=index, name=recording.name, time=since, rotor=np.ascontiguousarray(rotor),
-        link=np.ascontiguousarray(link), rotor_measured="motor_position" in recording, link_measured=link_measured,
-        weighed=weighed,
-        torque=np.ascontiguousarray(read[:, TORQUE]) if has["joint_torque"] else np.empty(0),
+        recording=index, name=recording.name, time=since, rotor=rotor, link=link,
+        rotor_measured="motor_position" in recording, link_measured=link_measured, weighed=weighed,
+        torque=np.ascontiguousarray(read[:, TORQUE, 0]) if has_torque else np.empty(0),
         external=external, arm=arm, temperature=temperature, mounting=recording.link,
-        stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),
-        measured_bend=decimate(read_bend), state=state, load=load, balances=balances, usable=usable, held_out=held_out,
-        at_rest=at_rest, passband=1 / (2 * np.pi * whole),
+        stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=rate, measured_bend=bend,
+        state=state, load=measured[:, TORQUE] if has_torque else _own_torque(p, state) - decimate(external),
+        balances=balances, usable=usable, held_out=held_out, at_rest=_at_rest(state[:, 0], _rotor_count(recording, joint, p)),
+        passband=1 / (2 * np.pi * whole),
     )  # fmt: skip
-    block = _residuals_at_once(one, conditioned, rotor_noise, link_noise, read_noise[:, CURRENT], p, settings)
-    one = replace(one, block=block)
+    one = replace(one, block=_block(one, conditioned, [drawn[n] for n in ENCODERS], read_noise[:, CURRENT, 0], p))
+    more, rate_noise, bend_noise = np.moveaxis(decimate(read_noise), -1, 0)
     replicate = replace(
-        one,
-        rotor=rotor + rotor_noise,
-        link=link + link_noise,
-        torque=one.torque + read_noise[:, TORQUE] if has["joint_torque"] else one.torque,
-        measured=measured + decimate(read_noise),
-        measured_rate=one.measured_rate + decimate(noise_rate),
-        measured_bend=one.measured_bend + decimate(noise_bend),
-    )
+        one, rotor=rotor + drawn["motor_position"], link=link + drawn["link_position"],
+        torque=one.torque + read_noise[:, TORQUE, 0] if has_torque else one.torque,
+        measured=measured + more, measured_rate=rate + rate_noise, measured_bend=bend + bend_noise,
+    )  # fmt: skip
     return one, replicate
 
 
 def _smoothed(
-    conditioned: Conditioned,
-    time: np.ndarray,
-    values: np.ndarray,
-    names: Sequence[str],
-    weighed: bool,
-    p: np.void,
-    settings: SegmentSettings,
-) -> tuple[Smooth, float, float]:
-    """Smooth channels and their noise, shape (n, 2 len(names)); also return the passband of the readings [Hz] and the time in
-    which the smoother settles [s]."""
+    conditioned: Conditioned, time: np.ndarray, values: np.ndarray, names: list[str], weighed: bool, p: np.void
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Smooth channels and their noise, shape (n, 2 len(names)).
+
+    Returns:
+      Times [s]; values with two derivatives, shape (m, 2 len(names), 3); the passband of the readings [Hz]; the time in which
+      the smoother settles [s].
+    """
+
+    def through(cutoff: float, share: float = SHARE) -> tuple[np.ndarray, np.ndarray]:
+        s = smooth(time, values, STEP, cutoff, share=share)
+        return s.time, np.stack([s.value, s.rate, s.acceleration], axis=-1)
+
     cutoff = conditioned.passband
     if "motor_position" in conditioned.recording:
-        return smooth(time, values, STEP, cutoff), passband(time, cutoff), settings.settle_time
+        return *through(cutoff), passband(time, cutoff), SETTINGS.settle_time
     readings = min([CUTOFF, *(SHARE * conditioned.channels[name].rate for name in conditioned.news)])
-    following = _following(p, conditioned, settings)
-    s = _joined(
-        [name in ENCODERS for name in (*names, *names)],
-        smooth(time, values, STEP, following),
-        smooth(time, values, STEP, readings, share=settings.readings),
+    following = _following(p, cutoff)
+    at, found = through(readings, SETTINGS.readings)
+    found = np.where(np.isin([*names, *names], ENCODERS)[:, None], through(following)[1], found)
+    if weighed:  # channels that are compared go through one smoother
+        found = np.where(np.isin([*names, *names], _WEIGHING)[:, None], through(cutoff)[1], found)
+    return (
+        at,
+        found,
+        passband(time, readings, SETTINGS.readings),
+        max(SETTINGS.settle_time, 1 / passband(time, following)),
     )
-    if weighed:  # what is held against each other goes through one smoother
-        s = _joined([name in _WEIGHING for name in (*names, *names)], smooth(time, values, STEP, cutoff), s)
-    return s, passband(time, readings, settings.readings), max(settings.settle_time, 1 / passband(time, following))
 
 
-def _following(p: np.void, conditioned: Conditioned, settings: SegmentSettings) -> float:
-    """Passband of the rotor's motion from the link encoder [Hz]."""
+def _following(p: np.void, cutoff: float) -> float:
+    """Passband of the rotor's motion from the link encoder [Hz]; `cutoff`: of the encoder."""
     resonance = float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi)
-    return min(max(settings.following * resonance, settings.slowest), conditioned.passband)
+    return min(max(SETTINGS.following * resonance, SETTINGS.slowest), cutoff)
 
 
-def _residuals_at_once(
-    one: Segment,
-    conditioned: Conditioned,
-    rotor_noise: np.ndarray,
-    link_noise: np.ndarray,
-    current_noise: np.ndarray,
-    p: np.void,
-    settings: SegmentSettings,
+def _block(
+    one: Segment, conditioned: Conditioned, noises: Sequence[np.ndarray], current_noise: np.ndarray, p: np.void
 ) -> int:
-    """Return how many residuals count as one (`SegmentSettings.block`): above its passband a motion has no information."""
-    current = one.balances[CURRENT] and not one.rotor_measured
-    # An octave above the passband 1.5 % of a motion pass the smoother.
-    shown = 2 * _following(p, conditioned, settings) if current else conditioned.passband
-    block = int(np.clip(0.5 / (STEP * DECIMATION * shown), 1, settings.block))
+    """Return how many residuals count as one (`SegmentSettings.block`), which keeps the frequencies of the motion.
+
+    Above them, acceleration is noise alone, and least squares would be biased (errors in variables).
+    """
+    rate, most = 1.0 / (STEP * DECIMATION), SETTINGS.block
+    shown = conditioned.passband
+    if (
+        one.balances[CURRENT] and not one.rotor_measured
+    ):  # an octave above the passband 1.5 % of a motion pass the smoother
+        shown = 2 * _following(p, shown)
+    block = int(np.clip(0.5 / (STEP * DECIMATION * shown), 1, most))
     if not one.link_measured:
         return block
     if conditioned.stamps.error:
-        return settings.block  # replicates do not have errors of time
-    block = max(block, _block((one.rotor, one.link), (rotor_noise, link_noise), settings))
+        return most  # replicates do not have errors of time
+    highest = max(_highest(x, noise, rate) for x, noise in zip((one.rotor, one.link), noises, strict=True))
+    block = max(block, int(np.clip(0.5 * rate / max(highest, 1e-3), 1, most)))
     # The drive reacts to encoder counts, which replicates do not have. This biases a fit towards a light rotor and a strong
     # motor. The noise decreases with frequency to the power 5/2.
-    shakes, current = (float(np.std(decimate(x))) for x in (rotor_noise[:, 2], current_noise))
+    shakes, current = (float(np.std(decimate(x))) for x in (noises[0][:, 2], current_noise))
     shakes *= float(p["Jm"] / p["Kt"])
     # Without a current, or without its noise, there is no limit.
-    while block < settings.block and current and shakes / block**2.5 > settings.shaken * current:
+    while block < most and current and shakes / block**2.5 > SETTINGS.shaken * current:
         block += 1
     return block
 
 
-def _joined(first: Sequence[bool], one: Smooth, other: Smooth) -> Smooth:
-    """Combine two smoothings on the same grid: channels in `first`, shape (c,), from the first one."""
-    return Smooth(
-        one.time,
-        np.where(first, one.value, other.value),
-        np.where(first, one.rate, other.rate),
-        np.where(first, one.acceleration, other.acceleration),
-    )
+def _highest(motion: np.ndarray, noise: np.ndarray, rate: float) -> float:
+    """Return the highest frequency [Hz] at which a motion's acceleration is above its noise."""
+    from scipy.signal import welch
+
+    x = decimate(np.column_stack([motion[:, 2], noise[:, 2]]))
+    if len(x) < 64:
+        return np.inf
+    f, power = welch(x, rate, nperseg=min(256, len(x)), axis=0)
+    power = uniform_filter1d(power, 5, axis=0, mode="nearest")
+    return float(f.max(where=power[:, 0] > SETTINGS.above_noise * power[:, 1], initial=0.0))
 
 
 def _channels(conditioned: Conditioned, part: slice, joint: Joint, p: np.void, rng: np.random.Generator):
@@ -389,13 +336,12 @@ def _channels(conditioned: Conditioned, part: slice, joint: Joint, p: np.void, r
         if name in columns:
             rms = float(np.hypot(spec.noise, spec.step / np.sqrt(12)))
             kept[name], noise[name] = columns[name], as_read(name, rms * rng.standard_normal(len(time)))
-    if recording.external == "measured" or recording.load is not None:
-        kept["external_torque"] = recording.torque_of_arm[part] + columns.get("external_torque", 0.0)
-        noise["external_torque"] = np.zeros(len(time))
-    if recording.load is not None:
-        kept["arm_torque"] = recording.torque_of_arm[part]
-        noise["arm_torque"] = np.zeros(len(time))
-    return kept, noise
+    arm, known = recording.load is not None, recording.torque_of_arm[part]
+    if recording.external == "measured" or arm:
+        kept["external_torque"] = known + columns.get("external_torque", 0.0)
+    if arm:
+        kept["arm_torque"] = known
+    return kept, {name: noise.get(name, np.zeros(len(time))) for name in kept}
 
 
 def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None:
@@ -403,16 +349,14 @@ def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None
 
     It includes wind-up under the link's weight and inertia, and the kinematic error.
     """
-    known = "motor_position" if "motor_position" in columns else "link_position"
-    missing = "link_position" if known == "motor_position" else "motor_position"
-    ratio = p["N"] if known == "link_position" else 1 / p["N"]
-    rough = columns["link_position"] if known == "link_position" else columns["motor_position"] / p["N"]
+    is_link = "link_position" in columns
+    missing, known = ENCODERS if is_link else ENCODERS[::-1]
+    rough = columns[known] if is_link else columns[known] / p["N"]
     motion = smooth(since, rough[:, None], float(np.median(np.diff(since))), 8.0)
     v, a = (np.interp(since, motion.time, x[:, 0]) for x in (motion.rate, motion.acceleration))
-    other = np.empty(len(since))
-    _other_end(columns[known], known == "link_position", v, a, since, p, other)
-    columns[missing] = other
-    noise[missing] = ratio * noise[known]
+    columns[missing] = np.empty(len(since))
+    _other_end(columns[known], is_link, v, a, since, p, columns[missing])
+    noise[missing] = (p["N"] if is_link else 1 / p["N"]) * noise[known]
 
 
 @kernel
@@ -436,26 +380,25 @@ ENOUGH = 0.1
 """Least share of held-out residuals to judge a fit."""
 
 
-def in_held_out_block(time: np.ndarray, index: int, settings: SegmentSettings = SETTINGS) -> np.ndarray:
+def in_held_out_block(time: np.ndarray, index: int) -> np.ndarray:
     """Return whether times [s] since a recording's start, shape (n,), are held out; `index`: of the recording."""
-    block = np.floor(time / settings.held_out_block).astype(int) + index
-    return block % settings.held_out_every == settings.held_out_every - 1
+    block = np.floor(time / SETTINGS.held_out_block).astype(int) + index
+    return block % SETTINGS.held_out_every == SETTINGS.held_out_every - 1
 
 
-def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, settle: float, settings: SegmentSettings):
-    """Which residuals count in a fit, and which are held out, shape (k, len(BALANCES)) each."""
+def _usable(
+    recording: Recording, index: int, at: np.ndarray, theta_m: np.ndarray, balances: np.ndarray, settle: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which residuals count in a fit, and which are held out, shape (k, len(BALANCES)) each."""
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(theta_m)))])
     settled = (at > at[0] + settle) & (at < at[-1] - settle)
-    begun = settled & (travel > settings.settle_travel)
-    held_out = in_held_out_block(at, index, settings)
-    usable = np.empty((len(at), len(BALANCES)), bool)
-    usable[:, CURRENT] = begun
-    usable[:, TORQUE] = begun
+    begun = settled & (travel > SETTINGS.settle_travel)
+    sensor = "joint_torque" in recording
     # Without a torque sensor, the torsion is less accurate than an arm's mass model.
-    weighed = recording.external != "unmeasured" and (has_torque or recording.load is None)
-    usable[:, LINK] = (settled if has_torque else begun) & weighed
-    usable &= balances
-    return usable & ~held_out[:, None], usable & held_out[:, None]
+    weighed = recording.external != "unmeasured" and (sensor or recording.load is None)
+    usable = np.column_stack([begun, begun, (settled if sensor else begun) & weighed]) & balances
+    held_out = in_held_out_block(at, index)[:, None]
+    return usable & ~held_out, usable & held_out
 
 
 def _own_torque(p: np.void, state: np.ndarray) -> np.ndarray:
@@ -469,30 +412,11 @@ def _rotor_count(recording: Recording, joint: Joint, p: np.void) -> float:
     return s.motor_encoder.resolution if "motor_position" in recording else p["N"] * s.link_encoder.resolution
 
 
-def _at_rest(theta_m: np.ndarray, travel: float) -> np.ndarray:
-    """Return where the rotor travels less than `travel` within ±40 ms, and 24 ms around, shape (k,), bool."""
-    low = minimum_filter1d(theta_m, 11)
-    high = maximum_filter1d(theta_m, 11)
-    return maximum_filter1d((high - low < travel).astype(np.int8), 7).astype(bool)
-
-
-def _block(motions, noises, settings: SegmentSettings) -> int:
-    """Return how many residuals count as one, which keeps the frequencies of the motion.
-
-    Above them, acceleration is noise alone, and least squares would be biased (errors in variables).
-    """
-    from scipy.signal import welch
-
-    highest, rate = 0.0, 1.0 / (STEP * DECIMATION)
-    for motion, noise in zip(motions, noises, strict=True):
-        x, y = decimate(motion[:, 2]), decimate(noise[:, 2])
-        if len(x) < 64:
-            return 1
-        f, power = welch(np.column_stack([x, y]), rate, nperseg=min(256, len(x)), axis=0)
-        power = uniform_filter1d(power, 5, axis=0, mode="nearest")
-        above = f[power[:, 0] > settings.above_noise * power[:, 1]]
-        highest = max(highest, float(above.max()) if len(above) else 0.0)
-    return int(np.clip(0.5 * rate / max(highest, 1e-3), 1, settings.block))
+def _at_rest(theta_m: np.ndarray, count: float) -> np.ndarray:
+    """Return where the rotor hardly travels (`rest_travel`, `rest_counts`), and 24 ms around, shape (k,), bool."""
+    least = max(SETTINGS.rest_travel, SETTINGS.rest_counts * count)
+    travel = maximum_filter1d(theta_m, 11) - minimum_filter1d(theta_m, 11)
+    return maximum_filter1d((travel < least).astype(np.int8), 7).astype(bool)
 
 
 _SHIFT = 1 / 3

@@ -42,13 +42,9 @@ def most_telling(measurement: Measurement, seconds: float = LONGEST) -> Measurem
         chosen.append(pieces[best])
     kept = []
     for index, recording in enumerate(measurement.recordings):
-        taken = [piece for i, piece in chosen if i == index]
-        if taken:
-            inside = np.zeros(len(recording.time), bool)
-            for piece in taken:
-                inside[piece] = True
-            inside[:2] = True  # from which its time counts
-            kept.append(recording.at(np.flatnonzero(inside)))
+        taken = [np.arange(piece.start, piece.stop) for i, piece in chosen if i == index]
+        if taken:  # with its first samples, from which its time counts
+            kept.append(recording.at(np.unique(np.concatenate([[0, 1], *taken]))))
     return replace(measurement, recordings=tuple(kept))
 
 

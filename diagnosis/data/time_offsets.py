@@ -26,10 +26,7 @@ from .stretches import shortened
 
 @dataclass(frozen=True)
 class TimeOffsetSettings:
-    """When a column is late.
-
-    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-    """
+    """When a column is late. Set on `benchmarks/mistakes.py`."""
 
     step: float = 5e-3  # of shifts that are tried, and between samples [s]
     farthest: float = 0.3  # largest shift [s]
@@ -96,16 +93,12 @@ def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[tuple[M
         return ()
     found: dict[str, list[tuple[int, float, float]]] = {}
     for i, one in enumerate(relations):
-        best = _latest(one)
-        if best is not None:
-            name, seconds, gain = best
-            far = SETTINGS.far_off * max(abs(seconds) - SETTINGS.near, 0.0)
-            if gain > SETTINGS.sure + SETTINGS.one_of_several + far:
-                found.setdefault(name, []).append((i, seconds, gain))
+        name, seconds, gain = _latest(one) or ("", 0.0, 0.0)
+        far = SETTINGS.far_off * max(abs(seconds) - SETTINGS.near, 0.0)
+        if gain > SETTINGS.sure + SETTINGS.one_of_several + far:
+            found.setdefault(name, []).append((i, seconds, gain))
     return tuple(
-        _late(
-            name, float(np.median([one[1] for one in mine])), sum(one[2] for one in mine), tuple(one[0] for one in mine)
-        )
+        _late(name, float(np.median([s for _, s, _ in mine])), sum(g for *_, g in mine), tuple(i for i, *_ in mine))
         for name, mine in found.items()
     )
 
@@ -119,25 +112,22 @@ def _late(name: str, seconds: float, gain: float, having: tuple[int, ...]) -> tu
 def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     """Return the time offset that explains most: column, offset [s] and gain."""
     shifts = _SHIFTS
-    best: tuple[str, float, float] | None = None
     pairs = [r for r in relations if r.second in POSITIONS]
-    for name in sorted({r.first for r in relations} | {r.second for r in relations}):
-        for d in shifts[shifts > _ordinary_of(name)[1]].tolist():
-            if pairs and name in POSITIONS and _gain(pairs, name, d) < SETTINGS.between:
-                continue
-            gain = _gain(relations, name, d)
-            if best is None or gain > best[2]:
-                best = (name, d, gain)
-    if best is None:
+    tried = [
+        (_gain(relations, name, d), name, d)
+        for name in sorted({name for r in relations for name in (r.first, r.second)})
+        for d in shifts[shifts > _ordinary_of(name)[1]].tolist()
+        if not pairs or name not in POSITIONS or _gain(pairs, name, d) >= SETTINGS.between
+    ]
+    if not tried:
         return None
-    name = best[0]
+    gain, name, d = max(tried, key=lambda one: one[0])
     mine = [r for r in relations if name in (r.first, r.second)]
-    if best[2] < SETTINGS.sure * (SETTINGS.alone if len(mine) == 1 else 1.0):
+    if gain < SETTINGS.sure * (SETTINGS.alone if len(mine) == 1 else 1.0):
         return None
     left = np.sum([r.left if r.second == name else r.left[::-1] for r in mine], axis=0)
-    near = np.where(np.abs(shifts - best[1]) < 0.02, left, np.inf)
-    i = int(np.argmin(near))
-    gains = [_gain([r], name, best[1]) for r in mine]
+    i = int(np.argmin(np.where(np.abs(shifts - d) < 0.02, left, np.inf)))
+    gains = [_gain([r], name, d) for r in mine]
     by = [sum(g for g, r in zip(gains, mine, strict=True) if r.first == one) for one in {r.first for r in mine}]
     if name in DRIVING[:2] and min(by) < SETTINGS.alike * sum(by) / len(by):  # both encoders must agree
         return None
@@ -153,7 +143,7 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     before, at, after = left[i - 1 : i + 2]
     bend = before - 2 * at + after
     off = 0.5 * (before - after) / bend if bend > 0 else 0.0
-    return name, float(shifts[i] + SETTINGS.step * np.clip(off, -0.5, 0.5)), best[2]
+    return name, float(shifts[i] + SETTINGS.step * np.clip(off, -0.5, 0.5)), gain
 
 
 def _gain(relations: list[_Relation], late: str, d: float) -> float:
@@ -260,7 +250,10 @@ def _least_that_counts(joint: Joint, channel: str) -> float:
 
 def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the mean square of y, shape (n, d), that shapes (n, s) and functions of the first do not explain: shape (d,)."""
-    A = np.column_stack([shapes, *_hats(shapes[:, 0])])
+    theta = shapes[:, 0]
+    at = (theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)
+    # Piecewise linear functions of the angle with sum one.
+    A = np.column_stack([shapes, *(np.maximum(1 - np.abs(at - i), 0.0) for i in range(SETTINGS.hats))])
     A = A / np.maximum(np.sqrt(np.mean(A * A, axis=0)), 1e-12)
     values, vectors = np.linalg.eigh(A.T @ A)
     kept = values > 1e-10 * values[-1]
@@ -296,9 +289,3 @@ def _shapes(time: np.ndarray, motion: np.ndarray, sliding: np.ndarray, second: s
     if second not in (*POSITIONS, "joint_torque"):
         shapes += [v, v * np.abs(v), direction * np.exp(-time / 10.0), a * direction]
     return np.column_stack(shapes)
-
-
-def _hats(theta: np.ndarray) -> list[np.ndarray]:
-    """Return piecewise linear functions of the angle with sum one."""
-    at = (theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)
-    return [np.maximum(1 - np.abs(at - i), 0.0) for i in range(SETTINGS.hats)]

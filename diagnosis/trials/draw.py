@@ -36,29 +36,19 @@ RECORDED = ("motor_position", "link_position", "motor_current", "joint_torque")
 
 @dataclass(frozen=True)
 class Challenge:
-    """What is drawn.
+    """What is drawn."""
 
-    Attributes:
-      joint: name of, or path to, the nominal joint.
-      seed: of every random stream.
-      hidden: one effect, two, one outside the library, or none.
-      exact: the joint has exactly its nominal numbers, and the diagnosed description has no tolerances.
-      real: with the small imperfections that every real joint has (`imperfections`).
-      sensor: with the joint torque sensor, at 1 kHz; without it irregularly at about 250 Hz, single samples missing.
-      without: channels that are not recorded.
-      scenarios: names or paths of scenarios to use instead of random motions.
-      only: names of the causes (or effects outside the library) to draw from, all where empty.
-    """
-
-    joint: str = "test-joint"
-    seed: int = 1
-    hidden: Hidden = "one"
-    exact: bool = False
-    real: bool = False
-    sensor: bool = True
-    without: tuple[str, ...] = ()
-    scenarios: tuple[str, ...] = ()
-    only: tuple[str, ...] = ()
+    joint: str = "test-joint"  # name of, or path to, the nominal joint
+    seed: int = 1  # of every random stream
+    hidden: Hidden = "one"  # one effect, two, one outside the library, or none
+    exact: bool = False  # the joint has its nominal numbers, and the diagnosed description has no tolerances
+    real: bool = False  # with the small imperfections that every real joint has (`imperfections`)
+    sensor: bool = (
+        True  # the joint torque sensor, at 1 kHz; without it irregularly at about 250 Hz, single samples missing
+    )
+    without: tuple[str, ...] = ()  # channels that are not recorded
+    scenarios: tuple[str, ...] = ()  # names or paths of scenarios to use instead of random motions
+    only: tuple[str, ...] = ()  # names of the causes (or effects outside the library) to draw from; all if empty
 
     def channels(self) -> set[str]:
         """Channels that are recorded, checked: one position at least, and one of current and joint torque."""
@@ -112,21 +102,13 @@ class HiddenEffect:
 
 @dataclass(frozen=True)
 class Draw:
-    """A joint, what is hidden in it, and what was measured.
-
-    Attributes:
-      effects: hidden.
-      records: of the true joint with its effects, one a recording, shape (1,) each.
-      measurement: what diagnosis sees.
-      nominal: the described joint.
-      imperfections: of the true joint and its sensors, where they were drawn.
-    """
+    """A joint, what is hidden in it, and what was measured."""
 
     effects: tuple[HiddenEffect, ...]
-    records: tuple[np.ndarray, ...]
-    measurement: Measurement
-    nominal: Joint
-    imperfections: Imperfections | None = None
+    records: tuple[np.ndarray, ...]  # of the true joint with its effects, one a recording, shape (1,) each
+    measurement: Measurement  # what diagnosis sees
+    nominal: Joint  # the described joint
+    imperfections: Imperfections | None = None  # of the true joint and its sensors
 
 
 def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
@@ -246,8 +228,9 @@ def _effects(
         names.append(str(rng.choice([n for n in challenge.pool() if n != names[0]] or names)))
     if challenge.hidden == "outside":
         chosen = OUTSIDE[names[0]]
-        values, apply, description = chosen.make(rng, size)
-        return (HiddenEffect("unknown", chosen.component, values, f"{names[0]}: {description}", apply),)
+        values = chosen.draw(rng, size)
+        said = f"{names[0]}: {chosen.description}"
+        return (HiddenEffect("unknown", chosen.component, values, said, lambda p: chosen.put(p, values)),)
     # Of ordinary size against the nominal joint: that is what diagnosis can know.
     record = nominal.record()
     found = []

@@ -23,19 +23,12 @@ _FRICTION_PER_KELVIN = -0.01
 
 @dataclass(frozen=True)
 class Imperfections:
-    """One draw of what a real joint has.
+    """One draw of what a real joint has."""
 
-    Attributes:
-      values: every number drawn, by name.
-      nominal: the joint with its sensors' imperfections, from which recordings are made.
-      warming: [K/s] of each recording's gear.
-      jitter: of the time stamps [s rms].
-    """
-
-    values: dict[str, float]
-    nominal: Joint
-    warming: float
-    jitter: float
+    values: dict[str, float]  # every number drawn, by name
+    nominal: Joint  # with its sensors' imperfections, from which recordings are made
+    warming: float  # of each recording's gear [K/s]
+    jitter: float  # of the time stamps [s rms]
 
     def apply(self, record: np.ndarray) -> None:
         """Put what sits in the joint itself into a record, shape (1,), in place."""

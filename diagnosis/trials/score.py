@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from typing import Any
 
@@ -39,6 +39,7 @@ SURE = 0.9
 PARAMETER_LIMIT = 3.0
 """Standard deviations within which a parameter counts as right."""
 CONFIDENCES = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
+_TIMES: dict[str, Callable[[list[float]], float]] = {"median": np.median, "worst": np.max}
 _SIXTH = 6.0  # order of the kinematic error that imperfections have
 _PROBE = 0.05  # of an effect, in ordinary sizes, by which its derivative is taken
 
@@ -48,35 +49,25 @@ _PROBE = 0.05  # of an effect, in ordinary sizes, by which its derivative is tak
 
 @dataclass(frozen=True)
 class Outcome:
-    """What diagnosis made of a draw.
+    """What diagnosis made of a draw."""
 
-    Attributes:
-      kind: what was hidden: one, two, outside, none.
-      index, size: of the draw; real: whether it had a real joint's imperfections.
-      hidden: name → parameters; component: of the first; description of it.
-      verdict, causes, minor: as in `diagnosis.json`.
-      deviations: of every parameter of every cause that was named rightly: "cause.parameter" → error in standard deviations,
-        and as a share of the true value (of the ordinary range for an angle or a place).
-      smallest: size, in units of this draw's own at size 1, that the Fisher information allows to find 9 times in 10.
-      core_time: that diagnosis took of the cores [s]; seconds: by the clock.
-      failure: message of an exception, empty without one.
-    """
-
-    kind: Hidden
-    index: int
-    size: float
-    real: bool
-    hidden: dict[str, dict[str, float]]
-    component: str
-    description: str
-    verdict: str = "failed"
-    causes: tuple[dict[str, Any], ...] = ()
-    minor: tuple[dict[str, Any], ...] = ()
+    kind: Hidden  # what was hidden
+    index: int  # of the draw
+    size: float  # of the effect, in ordinary sizes
+    real: bool  # with a real joint's imperfections
+    hidden: dict[str, dict[str, float]]  # name → parameters
+    component: str  # of the first
+    description: str  # of the effects
+    verdict: str = "failed"  # as in `diagnosis.json`
+    causes: tuple[dict[str, Any], ...] = ()  # likewise
+    minor: tuple[dict[str, Any], ...] = ()  # likewise
+    # of every parameter of every cause that was named rightly: "cause.parameter" → error in standard deviations, and as a share
+    # of the true value (of the ordinary range for an angle or a place)
     deviations: dict[str, tuple[float, float]] | None = None
-    smallest: float | None = None
-    core_time: float = float("nan")
-    seconds: float = float("nan")
-    failure: str = ""
+    smallest: float | None = None  # size that the Fisher information allows to find 9 times in 10
+    core_time: float = float("nan")  # that diagnosis took of the cores [s]
+    seconds: float = float("nan")  # by the clock
+    failure: str = ""  # message of an exception
 
     @property
     def named(self) -> list[str]:
@@ -130,15 +121,8 @@ class Outcome:
 
     def row(self) -> dict[str, Any]:
         """As plain data, for JSON and Parquet."""
-        return {
-            "kind": self.kind, "index": self.index, "size": self.size, "real": self.real, "hidden": self.hidden,
-            "component": self.component,
-            "description": self.description, "verdict": self.verdict, "causes": list(self.causes), "minor": list(self.minor),
-            "first_right": self.first_right, "component_right": self.component_right, "all_named": self.all_named,
-            "false_alarm": self.false_alarm,
-            "deviations": {k: list(v) for k, v in (self.deviations or {}).items()}, "smallest": self.smallest,
-            "core_time": self.core_time, "seconds": self.seconds, "failure": self.failure,
-        }  # fmt: skip
+        judged = {n: getattr(self, n) for n in ("first_right", "component_right", "all_named", "false_alarm")}
+        return asdict(self) | judged | {"deviations": {k: list(v) for k, v in (self.deviations or {}).items()}}
 
 
 def attempt(challenge: Challenge, index: int, size: float = 1.0) -> Outcome:
@@ -152,11 +136,12 @@ def attempt(challenge: Challenge, index: int, size: float = 1.0) -> Outcome:
     }  # fmt: skip
     clock, core = time.perf_counter(), time.process_time()
     try:
-        found = diagnose(drawn.measurement, drawn.nominal)
+        found: Diagnosis | None = diagnose(drawn.measurement, drawn.nominal)
     except Exception as error:  # a draw that breaks diagnosis is a result, not the end of the challenge
-        head |= {"failure": f"{type(error).__name__}: {error}"}
-        return Outcome(**head, core_time=time.process_time() - core, seconds=time.perf_counter() - clock)
+        found, head["failure"] = None, f"{type(error).__name__}: {error}"
     head |= {"core_time": time.process_time() - core, "seconds": time.perf_counter() - clock}
+    if found is None:
+        return Outcome(**head)
     smallest = None
     if challenge.hidden in ("one", "two"):
         limit = smallest_size(found, drawn.nominal, drawn.effects[0])
@@ -181,11 +166,9 @@ def deviations(drawn: Draw, found: Diagnosis) -> dict[str, tuple[float, float]]:
             if q.integer:
                 continue
             p, true = cause.parameters[q.name], values[q.name]
-            error = p.value - true
-            scale = abs(true)
+            error, scale = p.value - true, abs(true)
             if q.period:
-                error = float(short_way(error, q.period))
-                scale = 1.0
+                error, scale = float(short_way(error, q.period)), 1.0
             elif not q.magnitude:
                 scale = max(scale, q.ordinary[-1][1] - q.ordinary[0][0])
             errors[f"{cause.name}.{q.name}"] = (
@@ -331,19 +314,17 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Rate | float]:
     """The rates of one size; times and parameter errors as medians."""
     hidden = [o for o in outcomes if o.hidden]
     quiet = [o for o in outcomes if not o.hidden]
-    outside = [o for o in hidden if "unknown" in o.hidden]
-    found: dict[str, Rate | float] = {}
-    if quiet:
-        found["false alarms"] = rate(quiet, lambda o: o.false_alarm)
-    if hidden:
-        found["first cause right"] = rate(hidden, lambda o: o.first_right)
-        found["component right"] = rate(hidden, lambda o: o.component_right)
-        found["nothing found"] = rate(hidden, lambda o: not o.causes)
-        found["a cause named that is not there"] = rate(hidden, lambda o: o.false_alarm)
-    if outside:
-        found["called unknown, component right"] = rate(outside, lambda o: o.unknown_in_place)
-    if any(len(o.hidden) > 1 for o in hidden):
-        found["both named"] = rate(hidden, lambda o: o.all_named)
+    several = [o for o in hidden if any(len(other.hidden) > 1 for other in hidden)]
+    shares: tuple[tuple[str, list[Outcome], Callable[[Outcome], bool]], ...] = (
+        ("false alarms", quiet, lambda o: o.false_alarm),
+        ("first cause right", hidden, lambda o: o.first_right),
+        ("component right", hidden, lambda o: o.component_right),
+        ("nothing found", hidden, lambda o: not o.causes),
+        ("a cause named that is not there", hidden, lambda o: o.false_alarm),
+        ("called unknown, component right", [o for o in hidden if "unknown" in o.hidden], lambda o: o.unknown_in_place),
+        ("both named", several, lambda o: o.all_named),
+    )
+    found: dict[str, Rate | float] = {name: rate(some, what) for name, some, what in shares if some}
     errors = [v for o in hidden for v in (o.deviations or {}).values()]
     if errors:
         found["parameters within 3 std"] = Rate(sum(s <= PARAMETER_LIMIT for s, _ in errors), len(errors))
@@ -357,26 +338,17 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Rate | float]:
         found[f"of causes named at ≥ {SURE:g}: are there"] = Rate(sum(sure), len(sure))
     if any(o.failure for o in outcomes):
         found["failed"] = rate(outcomes, lambda o: bool(o.failure))
-    found["core time, median [s]"] = float(np.median([o.core_time for o in outcomes]))
-    found["core time, worst [s]"] = float(np.max([o.core_time for o in outcomes]))
-    return found
+    return found | {f"core time, {name} [s]": float(of([o.core_time for o in outcomes])) for name, of in _TIMES.items()}
 
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the answer to "how often is it right".
+    """A line of the answer to "how often is it right"."""
 
-    Attributes:
-      name: for people.
-      value: share with its interval, or seconds.
-      target: share or seconds that is asked for on real joints (`challenge --real`).
-      at_most: whether the target is an upper one.
-    """
-
-    name: str
-    value: Rate | float
-    target: float
-    at_most: bool = False
+    name: str  # for people
+    value: Rate | float  # share with its interval, or seconds
+    target: float  # on real joints (`challenge --real`)
+    at_most: bool = False  # whether the target is an upper one
 
     @property
     def met(self) -> bool:
@@ -416,12 +388,8 @@ def rows(outcomes: Sequence[Outcome]) -> list[Row]:
     ]  # fmt: skip
     found = [r for r in found if isinstance(r.value, Rate) and r.value.of]
     times = [o.core_time for o in outcomes]
-    if times:
-        found += [
-            Row("core time, median [s]", float(np.median(times)), 20.0, at_most=True),
-            Row("core time, worst [s]", float(np.max(times)), 60.0, at_most=True),
-        ]
-    return found
+    limits = {"median": 20.0, "worst": 60.0} if times else {}
+    return found + [Row(f"core time, {n} [s]", float(_TIMES[n](times)), s, at_most=True) for n, s in limits.items()]
 
 
 def confusion(outcomes: Sequence[Outcome]) -> dict[str, Counter[str]]:
@@ -442,9 +410,8 @@ def reliability(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, 
     for low, high in itertools.pairwise(CONFIDENCES):
         inside = [(c, right) for c, right in named if low <= c < high or (high == 1.0 and c == 1.0)]
         if inside:
-            rows.append(
-                (low, high, float(np.mean([c for c, _ in inside])), Rate(sum(r for _, r in inside), len(inside)))
-            )
+            mean = float(np.mean([c for c, _ in inside]))
+            rows.append((low, high, mean, Rate(sum(right for _, right in inside), len(inside))))
     return rows
 
 

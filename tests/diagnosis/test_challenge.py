@@ -649,12 +649,12 @@ def test_coordinates_invert_values(name, rng):
 
 def test_effects_outside_the_library_reach_the_record(rng):
     for name, outside in OUTSIDE.items():
-        values, apply, description = outside.make(rng, 1.0)
+        values = outside.draw(rng, 1.0)
         record = NOMINAL.record()
-        apply(record[0])
+        outside.put(record[0], values)
         assert record.tobytes() != NOMINAL.record().tobytes(), name
         assert outside.component in causes.COMPONENTS
-        assert values and description
+        assert values and outside.description
 
 
 def test_effect_that_tolerances_can_express_is_not_hidden():

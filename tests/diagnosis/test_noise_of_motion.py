@@ -48,7 +48,7 @@ def test_noise_that_a_law_bends_has_a_mean_and_other_noise_has_none():
 def test_means_are_longer_where_counts_shake_a_heavy_rotor(monkeypatch):
     """The noise of the acceleration is in no current: to have less of it a fit would make the rotor light, the motor strong."""
     # What the motion alone asks for depends on single frequencies at the edge of the noise.
-    monkeypatch.setattr(sys.modules["flexspline.diagnosis.data.segments"], "_block", lambda *_: 1)
+    monkeypatch.setattr(sys.modules["flexspline.diagnosis.data.segments"], "_highest", lambda *_: np.inf)
     run = fs.simulate("link_sweep", filters=["RAREKF"], duration=8, seed=3)
     joint = load_joint("test-joint")
     inertia = joint.numbers["Jm"]
