@@ -71,9 +71,10 @@ def command(
     data, unread = require_sound(data, described)
     give_back_free_pages()
     _check_samples(measurement, data)
-    if "joint_torque" not in {m.column for m in unread}:
-        for text in contradictions(regressions(data, described), described):
-            warnings.warn(f"{data.name}: {text}", InputWarning, stacklevel=2)
+    lost = {m.column for m in unread}
+    wrong_load = contradictions([r for r in regressions(data, described) if r.channel not in lost], described)
+    for text in wrong_load:
+        warnings.warn(f"{data.name}: {text}", InputWarning, stacklevel=2)
     for recording in data.recordings:
         for name, why in lacking(recording, filter_ or ()).items():
             raise _missing(recording, name, why)
@@ -99,7 +100,9 @@ def command(
                 "left_out": found.left_out,
                 "untrusted": found.untrusted,
                 "beyond": beyond_range(recording, described),
-                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor.items()},
+                "wrong_load": list(wrong_load),
+                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor.items()}
+                | ({"external_torque": sorted(found.external_torque)} if wrong_load else {}),
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
             if not as_json:
@@ -142,6 +145,12 @@ def _remarks(poor: dict[str, tuple[str, dict[str, float]]], report: dict[str, An
     """Yield remarks on a recording's estimates with their styles: wrong ones, extrapolated ones, missing ones."""
     from ..models.joint_parts import beyond_sentence
 
+    if report["wrong_load"]:
+        yield (
+            "the external torques are no estimates: they include the error of the described load. Correct `link` of the "
+            f"recording. {' '.join(report['wrong_load'])}",
+            "yellow",
+        )
     for text, worse in poor.values():
         listed = ", ".join(f"{estimator} {error:.3g}" for estimator, error in worse.items())
         yield (
