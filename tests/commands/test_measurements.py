@@ -104,6 +104,19 @@ def test_an_external_torque_of_a_wrong_load_is_said_to_be_that(flexspline, sweep
     assert all((errors[name]["rms"] > 1.0) == bool(named) for name in ("RAREKF", "current"))
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_a_noisy_torque_sensor_is_named(flexspline, tmp_path, rng, share):
+    """It was silent: errors of estimates were those of the sensor."""
+    moves = [{"time": t, "position": q} for t, q in ((0.3, 0.0), (2.2, 0.9), (5.2, -0.9), (6.5, 0.0))]
+    r = fs.simulate("no_load", filters=["model"], duration=7, trajectory=moves, mounting="link").as_recording()
+    torque = r["joint_torque"]
+    noisy = torque + share * torque.std() * rng.standard_normal(len(torque))
+    path = write_recording(replace(r, columns={**r.columns, "joint_torque": noisy}), tmp_path / "m")
+    for words in (("check", path), ("estimate", path, "--out", tmp_path / "e", "--filter", "model")):
+        code, _, err = flexspline(*words)
+        assert code == 0 and ("joint_torque has a noise of" in err) == bool(share), err
+
+
 def replace_link(link: Mounting, inertia: float, moment: float) -> Mounting:
     """A mounting with other shares of its inertia and gravity moment."""
     return link.model_copy(update={"inertia": inertia * link.inertia, "gravity_moment": moment * link.gravity_moment})
