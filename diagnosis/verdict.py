@@ -145,8 +145,13 @@ def _not_of_this_joint(
         if (factor := out_of_proportion(problem, name, values))
     ]
     changed = [name for name in known if causes.get(name).scales or causes.get(name).parameters[0].relative]
-    moved = [n for n, s in calibration.items() if abs(s.moved) > CUT and n not in (*DELAYS.values(), *ZEROS)]
-    outside = [name.replace("_", " ") for name in (*changed, *moved)]
+    numbers = problem.joint.numbers  # those with a shared tolerance count as one
+    moved = {
+        (numbers[n].shared or n) if n in numbers else n: n
+        for n, s in calibration.items()
+        if abs(s.moved) > CUT and n not in (*DELAYS.values(), *ZEROS)
+    }
+    outside = [name.replace("_", " ") for name in (*changed, *moved.values())]
     why = [f"far from the description ({', '.join(far)})"] if far else []
     why += [f"outside the tolerances at once: {', '.join(outside)}"] if len(outside) >= ANSWER.many else []
     return [f"these data are not of this joint with this load, or a unit is wrong: {', '.join(why)}"] if why else []
