@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from ...estimator.conditioning import Conditioned, condition
-from ...estimator.stamps import off_motion
+from ...estimator.stamps import off_motion, stretches
 from ...models import causes, dynamics
 from ...models.causes import Cause
 from ...models.dynamics import State
@@ -241,12 +241,12 @@ def torque_over_current(recording: Recording, joint: Joint) -> float | None:
 
 def louder(recording: Recording, joint: Joint) -> str:
     """Return in words that a torque sensor has noise far above the described one and visible in its readings; else empty."""
-    if "joint_torque" not in recording or recording.interval * _FAST > 1.0 or len(recording.time) < _MANY:
+    if "joint_torque" not in recording or recording.interval * _FAST > 1.0:
         return ""
     reading, described = recording["joint_torque"], joint.sensors.joint_torque.noise
-    noise = 1.4826 * float(
-        np.median(np.abs(off_motion(recording.time, reading)[0]))
-    )  # jumps of stick-slip do not count
+    off = np.concatenate([off_motion(recording.time[p], reading[p])[0] for p in stretches(recording.segments)])
+    # The median ignores jumps of stick-slip.
+    noise = 1.4826 * float(np.median(np.abs(off))) if len(off) > _MANY else 0.0
     if noise <= max(_LOUD * described, _VISIBLE * float(np.std(reading))):
         return ""
     return f"joint_torque has a noise of {noise:.2g} N·m rms, described: {described:.2g}: is the sensor or its cable damaged?"
