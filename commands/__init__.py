@@ -314,4 +314,9 @@ def _print(message: object, style: str) -> None:
     from rich.console import Console
 
     terminal = Console(stderr=True, soft_wrap=True, emoji=False)
-    terminal.print(f"flexspline: {message}", style=style, markup=False, highlight=False)
+    try:
+        terminal.print(f"flexspline: {message}", style=style, markup=False, highlight=False)
+    except BrokenPipeError:
+        raise
+    except OSError:  # a full disk: the exit code says it
+        pass

@@ -49,6 +49,7 @@ def command(
     With a joint that states its uncertainty (as `diagnose` writes it), estimates have 95 % bands; estimators that simulate the
     joint's dynamics have bands only if `--filter` names them. Data with a mistake that makes estimates meaningless are refused.
     """
+    from ..diagnosis.data.coverage import louder
     from ..diagnosis.data.mistakes import require_sound
     from ..diagnosis.regression import contradictions, regressions
     from ..estimator import registry
@@ -71,9 +72,10 @@ def command(
     data, unread = require_sound(data, described)
     give_back_free_pages()
     _check_samples(measurement, data)
-    if "joint_torque" not in {m.column for m in unread}:
-        for text in contradictions(regressions(data, described), described):
-            warnings.warn(f"{data.name}: {text}", InputWarning, stacklevel=2)
+    lost = {m.column for m in unread}
+    wrong_load = contradictions([r for r in regressions(data, described) if r.channel not in lost], described)
+    for text in wrong_load:
+        warnings.warn(f"{data.name}: {text}", InputWarning, stacklevel=2)
     for recording in data.recordings:
         for name, why in lacking(recording, filter_ or ()).items():
             raise _missing(recording, name, why)
@@ -82,6 +84,8 @@ def command(
     bands = described.uncertainty is not None
     with output_folder(out, maker) as folder:
         for recording in data.recordings:
+            if text := louder(recording, described):
+                warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
             found = estimate_recording(recording, described, filter_, bands)
             for name in filter_ or ():
                 if name in found.left_out:
@@ -99,7 +103,9 @@ def command(
                 "left_out": found.left_out,
                 "untrusted": found.untrusted,
                 "beyond": beyond_range(recording, described),
-                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor.items()},
+                "wrong_load": list(wrong_load),
+                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor.items()}
+                | ({"external_torque": sorted(found.external_torque)} if wrong_load else {}),
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
             if not as_json:
@@ -142,6 +148,12 @@ def _remarks(poor: dict[str, tuple[str, dict[str, float]]], report: dict[str, An
     """Yield remarks on a recording's estimates with their styles: wrong ones, extrapolated ones, missing ones."""
     from ..models.joint_parts import beyond_sentence
 
+    if report["wrong_load"]:
+        yield (
+            "the external torques are no estimates: they include the error of the described load. Correct `link` of the "
+            f"recording. {' '.join(report['wrong_load'])}",
+            "yellow",
+        )
     for text, worse in poor.values():
         listed = ", ".join(f"{estimator} {error:.3g}" for estimator, error in worse.items())
         yield (

@@ -74,7 +74,8 @@ def check(measurement: Measurement, joint: Joint) -> Check:
     """Check a measurement against a joint's description. If its mistakes can be corrected, the rest is of the corrected data.
 
     Warns:
-      InputWarning: a motor torque that does not match the motor current, a load that a torque sensor contradicts.
+      InputWarning: a motor torque that does not match the motor current, a load that the torques contradict, a noisy torque
+        sensor.
     """
     mistakes = find_mistakes(measurement, joint)
     corrected = mended_if_possible(measurement, joint, mistakes)
@@ -91,6 +92,8 @@ def check(measurement: Measurement, joint: Joint) -> Check:
     for text in contradictions(found.regressions, joint):
         warnings.warn(f"{measurement.name}: {text}", InputWarning, stacklevel=2)
     for recording in data.recordings:
+        if text := coverage.louder(recording, joint):
+            warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
         ratio = coverage.torque_over_current(recording, joint)
         if ratio is not None:
             text = f"motor_torque is {ratio:.3g} times motor_current times the drive's torque constant: one of them is wrong"

@@ -27,6 +27,7 @@ class AnswerSettings:
     nearly_all: float = 2 / 3  # share of undetectable causes from which a measurement is inconclusive
     about: float = 0.9  # ratio of two contributions from which they count as equal
     inexact_bias: float = 0.35  # unknown part of the correction for noise in the motion
+    many: int = 4  # numbers outside their tolerances at once, from which the data are of another joint
     apart: float = 5.0  # error of a recording over every other's from which it may be of another joint,
     explained: float = 0.5  # if the fit leaves more than this part of it
     rezeroed: float = 0.2  # shift of the encoder zero between recordings that is reported [torsion at rated torque],

@@ -15,7 +15,7 @@ joint that predicts held-out data worse is not written.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ MOVING = 0.05
 LONGEST = 300.0
 """Seconds of a measurement that a regression uses, the most informative ones."""
 _LEAST = 0.02  # share of the rated torque, below which a torque sensor reads little but its noise
+_TIMES = 4.0  # ratio of a gravity moment by the drive to the described one, or the reverse, that contradicts it
+_FRICTION = 0.25  # share of Coulomb friction, below which such a difference may be friction that varies with the angle
 _STEP = 2e-3  # s: of the smoother's grid
 _EDGE = 0.1  # s: at both ends of a part, where the smoother settles
 _FEWEST = 20  # samples in motion for each coefficient
@@ -55,12 +57,18 @@ class Coefficient:
     described: float = float("nan")  # value of the description
     tolerance: float = float("nan")  # its standard deviation
     unit: str = ""
+    size: float = float("nan")  # RMS of the shape
 
     @property
     def beyond(self) -> float:
         """Z-score of the number against the description, with tolerance and regression's deviation; 0 without a number."""
         spread = float(np.hypot(self.tolerance, self.number_std))
         return abs(self.number - self.described) / max(spread, 1e-300) if self.means else 0.0
+
+    @property
+    def misfit(self) -> float:
+        """RMS of what the difference between number and description is in the channel, in its unit."""
+        return abs(self.number - self.described) * self.size * self.std / max(self.number_std, 1e-300)
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
@@ -151,15 +159,23 @@ def regressions(
 
 
 def contradictions(every: Sequence[Regression], joint: Joint) -> tuple[str, ...]:
-    """Return the numbers of the load that a torque sensor contradicts, beyond any joint within tolerance, as sentences."""
-    names, least = ("gravity_moment", "inertia"), _LEAST * joint.numbers["rated_torque"].value
-    sensed = [r for r in every if r.channel == "joint_torque" and r.spread > least]
-    far = [c for r in sensed for c in r.coefficients if c.means in names and c.beyond > CUT]
-    return tuple(
-        f"joint_torque: {c.means.replace('_', ' ')} is {c.number:.3g} {c.unit}, not {c.described:.3g} ± {c.tolerance:.2g}: "
-        f"is the load as described{', and is time in seconds' if c.means == 'inertia' else ''}?"
-        for c in far
-    )
+    """Return the numbers of the load that a torque sensor contradicts beyond any joint within tolerance, as sentences; without a
+    sensor, a gravity moment that the drive contradicts by `_TIMES` (friction turns with the motion, and hides an inertia)."""
+    p, rated = joint.record()[0], joint.numbers["rated_torque"].value
+    sensed = [r for r in every if r.channel == "joint_torque" and r.spread > _LEAST * rated]
+    found = []
+    for r in sensed or every:
+        friction = float(p["Fc"] / (p["Kt"] if r.channel == "motor_current" else 1.0))
+        for c in r.coefficients:
+            less, more = sorted((max(c.number, 0.0), c.described))
+            drive = c.means == "gravity_moment" and more > _TIMES * less and c.misfit > _FRICTION * friction
+            if c.beyond > CUT and (drive or (sensed and c.means in ("gravity_moment", "inertia"))):
+                clock = ", and is time in seconds" if c.means == "inertia" else ""
+                found.append(
+                    f"{r.channel}: {c.means.replace('_', ' ')} is {c.number:.3g} {c.unit}, not {c.described:.3g} ± "
+                    f"{c.tolerance:.2g}: is the load as described{clock}?"
+                )
+    return tuple(found)
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
@@ -259,7 +275,7 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
     std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
     alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
     coefficients = tuple(
-        _of_joint(names[k], float(b), float(s), channel, joint, link, alone)
+        replace(_of_joint(names[k], float(b), float(s), channel, joint, link, alone), size=_rms(X[:, k]))
         for k, b, s in zip(kept, beta, std, strict=True)
     )
     left_out = tuple(n for i, n in enumerate(names) if i not in kept)

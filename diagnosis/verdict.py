@@ -9,6 +9,7 @@ import numpy as np
 
 from ..estimator.conditioning import Conditioned
 from ..models import causes
+from ..models.calibration import CUT, ZEROS
 from ..models.joint import Joint
 from ..models.recording import Measurement
 from ..models.signals import CHANNELS
@@ -33,14 +34,17 @@ def answer_of(conclusion: Conclusion, measurement: Measurement, conditioned: Seq
     if useless:
         conclusion = replace(conclusion, surest=min(conclusion.surest, ANSWER.unsure))
     findings, minor = findings_of(conclusion, measurement, conditioned)
+    calibration = parameter_shifts(problem, final)
+    other = _not_of_this_joint(problem, findings, calibration)
+    if other:  # other causes are then relative to a description that is not of this joint
+        findings = [replace(f, confidence=min(f.confidence, ANSWER.unsure)) for f in findings]
     unseen = _without_held_out(conclusion)
     drive = any("motor_current" in r for r in measurement.recordings)
     drive_torque = 0.0 if drive else float(joint.record()[0]["Kt_drive"])
     residual = _balances(problem, found.base, unseen, drive_torque)
-    calibration = parameter_shifts(problem, final)
     verdict, reasons = _verdict(conclusion, findings, residual, useless)
     reasons += [
-        *_out_of_proportion(problem, findings),
+        *other,
         *_at_bound(calibration),
         *_why_shrunk(conclusion),
         *_other_joint(conclusion),
@@ -129,17 +133,28 @@ def _at_bound(calibration: dict[str, ParameterShift]) -> list[str]:
     return [f"at the bound of the tolerance: {', '.join(ends)}", *late] if ends else late
 
 
-def _out_of_proportion(problem: Problem, findings: Sequence[Finding]) -> list[str]:
-    """Causes whose number is so far from the description that a wrong unit or load is more probable."""
-    each = ", ".join(
-        f"{f.name.replace('_', ' ')} {factor:.2g} times"
-        for f in findings
-        if f.name in causes.names()
-        and (factor := out_of_proportion(problem, f.name, {k: p.value for k, p in f.parameters.items()}))
-    )
-    if not each:
-        return []
-    return [f"far from the description ({each}): is it this joint with this load, and every column in its unit?"]
+def _not_of_this_joint(
+    problem: Problem, findings: Sequence[Finding], calibration: dict[str, ParameterShift]
+) -> list[str]:
+    """Causes whose number is so far from the description that a wrong unit or load is more probable, and many numbers outside
+    their tolerances at once: so many faults are less probable than another joint."""
+    known = {f.name: {k: p.value for k, p in f.parameters.items()} for f in findings if f.name in causes.names()}
+    far = [
+        f"{name.replace('_', ' ')} {factor:.2g} times"
+        for name, values in known.items()
+        if (factor := out_of_proportion(problem, name, values))
+    ]
+    changed = [name for name in known if causes.get(name).scales or causes.get(name).parameters[0].relative]
+    numbers = problem.joint.numbers  # those with a shared tolerance count as one
+    moved = {
+        (numbers[n].shared or n) if n in numbers else n: n
+        for n, s in calibration.items()
+        if abs(s.moved) > CUT and n not in (*DELAYS.values(), *ZEROS)
+    }
+    outside = [name.replace("_", " ") for name in (*changed, *moved.values())]
+    why = [f"far from the description ({', '.join(far)})"] if far else []
+    why += [f"outside the tolerances at once: {', '.join(outside)}"] if len(outside) >= ANSWER.many else []
+    return [f"these data are not of this joint with this load, or a unit is wrong: {', '.join(why)}"] if why else []
 
 
 def _why_shrunk(conclusion: Conclusion) -> list[str]:

@@ -53,6 +53,10 @@ NO_CHANGE = "the channels do not fit this joint with any change of unit, sign or
 _FIXED = {
     "swapped": "columns exchanged", "wrapped": "unwrapped", "glitch": "bridged", "stuck": "left out", "clipped": "left out",
 }  # fmt: skip
+_LOST = {
+    "no_gravity": "log the whole torque, or state gravity_moment 0",
+    "load": "correct it in the recording's YAML file",
+}
 _SI = {
     "motor_position": "rad", "link_position": "rad", "position_command": "rad", "motor_current": "A",
     "motor_torque": "N·m of the motor", "joint_torque": "N·m", "external_torque": "N·m",
@@ -63,8 +67,8 @@ _SI = {
 class Mistake:
     """A mistake in the data."""
 
-    # `unit`, `sign`, `gear_ratio`, `swapped`, `late`, `wrapped`, `velocity`, `angle_zero`, `no_gravity`, `stuck`, `glitch`,
-    # `clipped`
+    # `unit`, `sign`, `gear_ratio`, `swapped`, `late`, `wrapped`, `velocity`, `angle_zero`, `no_gravity`, `load`, `stuck`,
+    # `glitch`, `clipped`
     name: str
     column: str  # with the mistake; empty if it concerns several
     recording: str  # with the mistake; empty if all have it
@@ -108,6 +112,8 @@ class Mistake:
     def remedy(self) -> str:
         """The correction, as a sentence."""
         if self.lost:
+            if self.name == "load":
+                return self.change
             return "the file cannot be corrected" if self.factor is None else f"correct it in the log: {self.change}"
         certain = "corrected by" if self.sure else "no change makes the channels fit the joint; the best is"
         return f"{certain}: {self.change}"
@@ -117,7 +123,7 @@ class Mistake:
         """The correction, in a few words."""
         times = "" if self.factor in (None, 1.0) else f"× {self.factor:.6g}"
         if self.lost and not times:
-            return "log the whole torque, or state gravity_moment 0" if self.name == "no_gravity" else "log it again"
+            return _LOST.get(self.name, "log it again")
         if self.becomes:
             return ", ".join([f"the column is {self.becomes}", *([times] if self.becomes != "motor_current" else [])])
         if self.name == "sign":
@@ -349,7 +355,7 @@ class Table:
             more = SETTINGS.free
             if near and abs(slope * N / near - 1) < SETTINGS.whole:  # N ± 1: circular spline and flexspline exchanged
                 slope, more = near / N, 0.0 if near in (round(N) - 1, round(N) + 1) else SETTINGS.free
-            text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:.5g}"
+            text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:.5g}: is it this joint?"
             yield _entry("gear_ratio", "motor_position", text, SETTINGS.price + more, factor=slope)
             text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
             yield _entry("gear_ratio", "link_position", text, free + 3, factor=slope)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from ...estimator.conditioning import Conditioned, condition
+from ...estimator.stamps import off_motion, stretches
 from ...models import causes, dynamics
 from ...models.causes import Cause
 from ...models.dynamics import State
@@ -31,6 +32,11 @@ TORSION_RATE, INERTIA_RATE = 50.0, 20.0
 """Rates [Hz] below which a log shows no torsion and no resonance, and no inertia: their passband is a quarter."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
 _AGREED = 0.05  # by which a drive's torque may differ from its torque constant times the current
+_LOUD, _VISIBLE = (
+    5.0,
+    0.15,
+)  # times the described noise, and share of the readings, from which a sensor's noise is named
+_FAST, _MANY = 100.0, 200  # Hz and samples, below which motion looks like noise
 _ABOVE_NOISE = 3.0  # noises of the current above which it is held against the drive's torque
 _CLIPPED = 0.995  # of the current limit
 _BLOCK = 1 << 16  # samples that are smoothed, or made Python's numbers, at a time
@@ -199,6 +205,19 @@ def torque_over_current(recording: Recording, joint: Joint) -> float | None:
     ratio = float(np.mean(torque * expected)) / (power - noise**2)
     rest = float(np.sqrt(np.mean((torque - ratio * expected) ** 2) / (len(torque) * power)))
     return ratio if abs(ratio - 1) > _AGREED + 3 * rest else None
+
+
+def louder(recording: Recording, joint: Joint) -> str:
+    """Return in words that a torque sensor has noise far above the described one and visible in its readings; else empty."""
+    if "joint_torque" not in recording or recording.interval * _FAST > 1.0:
+        return ""
+    reading, described = recording["joint_torque"], joint.sensors.joint_torque.noise
+    off = np.concatenate([off_motion(recording.time[p], reading[p])[0] for p in stretches(recording.segments)])
+    # The median ignores jumps of stick-slip.
+    noise = 1.4826 * float(np.median(np.abs(off))) if len(off) > _MANY else 0.0
+    if noise <= max(_LOUD * described, _VISIBLE * float(np.std(reading))):
+        return ""
+    return f"joint_torque has a noise of {noise:.2g} N·m rms, described: {described:.2g}: is the sensor or its cable damaged?"
 
 
 def undetermined(

@@ -130,10 +130,15 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     after = _worst([{n: fit for n, fit in fits.items() if n not in ignored} for fits in end.fits])
     found = [one for m, having in end.found for one in _where(m, having, recordings)]
     beyond = sum(map(_beyond, start.fits, end.fits)) > 0.5 * len(recordings)
-    if after < SETTINGS.wrong or beyond or not mends:
+    another, loads = search.with_another_load() if found or any(map(_suspicious, start.fits)) else (-math.inf, [])
+    gain = another - end.score
+    if gain > SETTINGS.beyond and loads:
+        sure = 1 / (1 + math.exp(-min(gain, 50.0) / 3))
+        found = [replace(m, confidence=sure) for m in loads]
+    elif after < SETTINGS.wrong or beyond or not mends:
         # The best change does not make the channels fit the joint.
         found = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in found]
-    elif search.with_another_load() > end.score - SETTINGS.beyond:
+    elif gain > -SETTINGS.beyond:
         of_load = ({m.name, m.column} & {"no_gravity", "angle_zero", GRAVITY} for m in found)
         found = [m if kept else replace(m, confidence=_UNSURE) for m, kept in zip(found, of_load, strict=True)]
     return [*late, *found]
@@ -209,19 +214,24 @@ class _Search:
         fits = tuple({} if m is None else p.agreement(m) for p, m in zip(self._plausible, motions, strict=True))
         self.start = _State(motions, fits)
 
-    def with_another_load(self) -> float:
-        """Return the score without changes, if each recording has the load that fits its torque best."""
-        found = 0.0
+    def with_another_load(self) -> tuple[float, list[Mistake]]:
+        """Return the score without changes, if each recording has the load that fits its torque best, and the described loads
+        that are then wrong; none if the channels still disagree."""
+        found, wrong, fitting = 0.0, list[Mistake](), list[dict[str, RelationFit]]()
         for r, p, motion, fits in zip(
             self._recordings, self._plausible, self.start.motions, self.start.fits, strict=True
         ):
             known = any(fit.at_bound for fit in fits.values())  # the score without changes does not count it
             torques = [name for name in reversed(DRIVING) if name in fits]
             if motion is not None and torques:
-                loaded = replace(r, link=p.best_load(motion, torques[0]))
-                fits = Plausibility(self._joint, loaded).agreement(motion)
+                link = p.best_load(motion, torques[0])
+                # A sensor in another unit contradicts the load alone.
+                text = p.unlike(link) if r.load is None and all(fits[name].suspicious for name in torques) else ""
+                fits = Plausibility(self._joint, replace(r, link=link)).agreement(motion)
+                wrong += [Mistake("load", "link", r.name, text, 0.0, lost=True)] if text else []
+            fitting.append(fits)
             found += _total(fits) - (0.0 if known else SETTINGS.beyond)
-        return found
+        return found, wrong if _worst(fitting) > SETTINGS.wrong else []
 
     def best(self) -> _State:
         """Return the state that no further change improves enough."""

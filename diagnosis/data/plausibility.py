@@ -293,6 +293,7 @@ class Plausibility:
         self.pushed = recording.external == "unmeasured"
         self.rated = joint.numbers["rated_torque"].value
         self._size = self.rated / SETTINGS.rated_torque
+        self._payload = 4.5 * self._size
         number = joint.numbers["Kt"]
         spread = np.hypot(number.tolerance, number.deviation / max(number.value, 1e-12))
         unsure = min(3 * float(np.hypot(spread, joint.shared_tolerances[number.shared] if number.shared else 0.0)), 0.5)
@@ -339,6 +340,23 @@ class Plausibility:
                 "gravity_angle": self.mounting.gravity_angle + math.atan2(across, along),
             }
         )
+
+    def unlike(self, load: Mounting) -> str:
+        """Return in words the described numbers that are wrong by more than a few times if a load is correct; empty if none."""
+        inertia, moment = self.mounting.inertia, self.mounting.gravity_moment
+        ranges = {
+            "inertia": ("kg·m²", SETTINGS.inertia[0] * inertia, SETTINGS.inertia[1] * inertia),
+            "gravity_moment": ("N·m", SETTINGS.load[0] * moment, self._heaviest(moment)),
+        }
+        return ", ".join(
+            f"{name} of about {fits:.2g} {unit} fits the torques, not {getattr(self.mounting, name):.3g}"
+            for name, (unit, low, high) in ranges.items()
+            if not low <= (fits := getattr(load, name)) <= high
+        )
+
+    def _heaviest(self, moment: float) -> float:
+        """Return the largest gravity moment with an ordinary payload, or of a description that is wrong by a few times [N·m]."""
+        return max(SETTINGS.load[1] * moment, 1.25 * moment + self._payload)
 
     def link(self, motion: SmoothedChannels) -> np.ndarray:
         """Return the link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
@@ -399,11 +417,11 @@ class Plausibility:
         shapes = _Shapes(len(theta))
         shapes.add(inertia * a, *((0.0, 1e3, 1.0, 1e3) if free else (*SETTINGS.inertia, 1.0, 0.8)), bounding=True)
         # The link's own weight, a payload, a cable, a stop [N·m].
-        payload = 4.5 * size
+        payload = self._payload
         turned = (0.25 if self.joint.gravity_angle is not None else 0.06) * weight + 0.3 * payload
         angle = theta + p["gravity_angle"]
         low_load = SETTINGS.load[0] * weight * low
-        high_load = max(SETTINGS.load[1] * weight, 1.25 * weight + payload) * high
+        high_load = self._heaviest(weight) * high
         if free:
             low_load, turned = -weight, 3 * weight
         shapes.add(np.sin(angle), low_load, high_load, weight, 0.5 * (weight + payload), bounding=True)

@@ -63,14 +63,14 @@ def test_tables_that_no_yaml_file_describes_are_told(flexspline, measurement):
     (measurement / ".kept.csv").write_text("")
     code, out, err = flexspline("check", measurement, "--json")
     assert code == 0 and [r["name"] for r in json.loads(out)["recordings"]] == ["slow"]
-    assert "swept.csv" in one_line(err) and "swept.yaml" in err
+    assert "swept.csv" in err.splitlines()[0] and "swept.yaml" in err and ".kept" not in err
 
 
 def test_a_table_beside_another_of_its_name_is_told(flexspline, measurement):
     (measurement / "slow.csv").write_text("time,motor_position\n0,1\n")
     code, out, err = flexspline("check", measurement, "--json")
     assert code == 0 and [r["name"] for r in json.loads(out)["recordings"]] == ["slow"]
-    assert one_line(err).endswith("slow.csv: not read, as slow.parquet was read")
+    assert err.splitlines()[0].endswith("slow.csv: not read, as slow.parquet was read")
 
 
 def test_what_a_run_wrote_beside_its_recording_is_no_table_that_was_forgotten(flexspline, tmp_path):
@@ -82,24 +82,39 @@ def test_what_a_run_wrote_beside_its_recording_is_no_table_that_was_forgotten(fl
     assert (code, err) == (0, "")
 
 
-@pytest.mark.parametrize(("inertia", "moment", "reported"), [(1.0, 1.0, False), (100.0, 1.0, True), (1.0, 0.0, True)])
-def test_an_external_torque_without_a_push_is_reported(flexspline, sweep, tmp_path, inertia, moment, reported):
-    """A load that is not the stated one becomes an external torque: estimates of it are marked, or the data refused."""
+@pytest.mark.parametrize(
+    ("inertia", "moment", "named"), [(1.0, 1.0, ""), (100.0, 1.0, "inertia"), (1.0, 0.0, "gravity")]
+)
+def test_an_external_torque_of_a_wrong_load_is_said_to_be_that(flexspline, sweep, tmp_path, inertia, moment, named):
+    """The warning was that there was no external torque, or the angles were said to be in degrees."""
     link = replace_link(sweep.link, inertia, moment)
     write_recording(replace(sweep, link=link), tmp_path / "m")
     code, out, err = flexspline(
         "estimate", tmp_path / "m", "--out", tmp_path / "e", "--filter", "current", "--filter", "RAREKF"
     )
     if code == 2:
-        assert reported and err.count("\n") == 1
+        assert "link: " in one_line(err) and f"{named}" in err and "fits the torques, not" in err, err
         return
-    assert (
-        code == 0 and ("there was no external torque, and the joint torque is" in " ".join(out.split())) == reported
-    ), out
+    text = " ".join(out.split())
+    assert code == 0 and ("the external torques are no estimates" in text) == bool(named) and named in err, (out, err)
     found = json.loads((tmp_path / "e" / "metrics.json").read_text())["slow"]
-    assert found["no_estimates"] == ({"external_torque": ["RAREKF", "current"]} if reported else {})
+    assert found["no_estimates"] == ({"external_torque": ["RAREKF", "current"]} if named else {})
+    assert [named in text for text in found["wrong_load"]] == [True] * bool(named)
     errors = found["external_torque"]
-    assert all((errors[name]["rms"] > 1.0) == reported for name in ("RAREKF", "current"))
+    assert all((errors[name]["rms"] > 1.0) == bool(named) for name in ("RAREKF", "current"))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_a_noisy_torque_sensor_is_named(flexspline, tmp_path, rng, share):
+    """It was silent: errors of estimates were those of the sensor."""
+    moves = [{"time": t, "position": q} for t, q in ((0.3, 0.0), (2.2, 0.9), (5.2, -0.9), (6.5, 0.0))]
+    r = fs.simulate("no_load", filters=["model"], duration=7, trajectory=moves, mounting="link").as_recording()
+    torque = r["joint_torque"]
+    noisy = torque + share * torque.std() * rng.standard_normal(len(torque))
+    path = write_recording(replace(r, columns={**r.columns, "joint_torque": noisy}), tmp_path / "m")
+    for words in (("check", path), ("estimate", path, "--out", tmp_path / "e", "--filter", "model")):
+        code, _, err = flexspline(*words)
+        assert code == 0 and ("joint_torque has a noise of" in err) == bool(share), err
 
 
 def replace_link(link: Mounting, inertia: float, moment: float) -> Mounting:

@@ -244,6 +244,19 @@ def test_little_memory_is_one_line_at_once(words, kilobytes, tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize("words", ["-h", "--version", "joints", "causes --json", "check tests/frozen/measurement"])
+@pytest.mark.parametrize("both", [False, True])
+def test_a_full_output_is_one_line_and_exit_code_2(words, both):
+    root = Path(__file__).resolve().parents[2]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "flexspline", *words.split()], stdout=full, stderr=full if both else subprocess.PIPE,
+            text=True, timeout=300, cwd=root, env={**os.environ, "PYTHONPATH": str(root)},
+        )  # fmt: skip
+    assert done.returncode == 2 and (both or done.stderr == "flexspline: No space left on device\n"), done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 def test_a_full_disk_names_the_file(tmp_path):
     path = tmp_path / "full.parquet"
     path.symlink_to("/dev/full")

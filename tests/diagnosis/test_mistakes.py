@@ -21,6 +21,7 @@ from flexspline.diagnosis.data.mistakes import find_mistakes, mended
 from flexspline.diagnosis.data.samples import jumps, parted
 from flexspline.diagnosis.data.time_offsets import SETTINGS, late_columns
 from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.regression import contradictions, regressions
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.validate import validate
 from flexspline.models.arm import ArmSpec
@@ -331,6 +332,32 @@ def test_a_link_that_is_described_wrongly_is_no_unit_of_the_angles():
     for recordings in ((heavy,), tuple(heavy if r is free else r for r in hidden.measurement.recordings)):
         found = find_mistakes(measurement(*recordings), hidden.nominal)
         assert not [m for m in found if m.name == "unit" and m.sure], found
+
+
+@pytest.mark.parametrize("joint", ["csg-14-100-ec45", "csg-32-160-ilm70"])
+def test_a_load_that_is_described_wrongly_is_named(joint):
+    """The best change was all angles in degrees."""
+    turns = ((0.3, 0.0), (1.6, 0.9), (3.2, -0.9), (4.5, 0.6), (5.6, -0.4), (7.0, 0.3))
+    moves = [{"time": t, "position": q} for t, q in turns]
+    run = flexspline.simulate(
+        "no_load", joint=joint, duration=7.5, trajectory=moves, mounting="link", filters=["model"]
+    )
+    r = run.as_recording().without("joint_torque")
+    described = load_joint(joint)
+
+    def said(inertia: float, moment: float) -> tuple[set[str], set[str]]:
+        """Names of the mistakes, and the numbers of the load in their texts and in those of the regression."""
+        link = {"inertia": inertia * r.link.inertia, "gravity_moment": moment * r.link.gravity_moment}
+        one = measurement(replace(r, link=r.link.model_copy(update=link)))
+        found = find_mistakes(one, described)
+        text = " ".join([*(m.description for m in found), *contradictions(regressions(one, described), described)])
+        return {m.name for m in found}, {number for number in ("inertia", "gravity") if number in text}
+
+    assert said(1.0, 1.0) == (set(), set())
+    assert said(100.0, 1.0) == ({"load"}, {"inertia"})
+    assert said(100.0, 0.0) == ({"load"}, {"inertia", "gravity"})
+    names, numbers = said(1.0, 0.0)
+    assert names <= {"load"} and numbers == {"gravity"}
 
 
 def test_a_stop_that_the_link_leans_on_is_no_zero_of_the_angle_elsewhere():

@@ -67,7 +67,7 @@ def test_a_load_of_another_inertia_is_no_claim_of_a_wrong_clock():
         heavy = replace(r, link=r.link.model_copy(update={"inertia": r.link.inertia * float(rng.uniform(3, 8))}))
         claimed = [m for m in find_mistakes(replace(log, recordings=(heavy,)), joint) if m.confidence > 0.5]
         print(log.name, claimed)
-        assert not claimed
+        assert all(m.name == "load" and m.description.startswith("inertia") for m in claimed)
         made = KINDS[label][1](r, joint, rng)
         if made is not None and "slips" not in log.name:
             found = find_mistakes(replace(log, recordings=(made[0],)), joint)
