@@ -141,6 +141,10 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     elif gain > -SETTINGS.beyond:
         of_load = ({m.name, m.column} & {"no_gravity", "angle_zero", GRAVITY} for m in found)
         found = [m if kept else replace(m, confidence=_UNSURE) for m, kept in zip(found, of_load, strict=True)]
+    lost = {m.column for m in found if m.name == "sign" and m.lost}
+    if lost and lost >= {name for r in recordings for name in DRIVING if name in r}:
+        # A magnitude alone judges no other column.
+        found = [m if m.column in lost else replace(m, confidence=min(m.confidence, _UNSURE)) for m in found]
     return [*late, *found]
 
 
