@@ -35,9 +35,9 @@ from flexspline.models.errors import InputError, InputWarning
 from flexspline.models.joint import Joint, known_joints, load_joint, shipped
 from flexspline.models.recording import Recording, Sidecar, read_measurement, write_recording
 from flexspline.scenarios.arms.arm_run import run_arm
-from flexspline.scenarios.arms.arm_scenario import ArmScenario, load_any, shipped_arms
+from flexspline.scenarios.arms.arm_scenario import ArmScenario, load_any
 from flexspline.scenarios.experiment import Experiment
-from flexspline.scenarios.scenario import Scenario, load_scenario, shipped_scenarios
+from flexspline.scenarios.scenario import Scenario, load_scenario, shipped_arms, shipped_scenarios
 from flexspline.scenarios.studies.dataset import Dataset, read_note
 from flexspline.scenarios.studies.design import Design
 from flexspline.scenarios.studies.study import Study, load_study, shipped_studies

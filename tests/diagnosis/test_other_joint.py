@@ -17,7 +17,7 @@ TURNS = ((0.3, 0.0), (1.3, 0.9), (2.4, -0.9), (3.2, 0.6), (4.2, -0.4), (5.0, 0.8
 @pytest.mark.parametrize(
     ("factors", "said"),
     [
-        ({"Kt": 2.0, "K1": 2.2, "K2": 2.2, "K3": 2.2, "Jm": 2.5}, "outside the tolerances at once"),
+        ({"Kt": 2.0, "K1": 2.2, "K2": 2.2, "K3": 2.2, "Jm": 2.5, "bw": 12.0}, "outside the tolerances at once"),
         ({"Kt": 3.3, "K1": 2.2, "K2": 2.2, "K3": 2.2}, "far from the description (torque constant 0.3"),
     ],
 )
