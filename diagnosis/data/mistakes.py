@@ -54,6 +54,7 @@ class ClaimSettings:
 
 SETTINGS = ClaimSettings()
 _TURN = 2 * np.pi
+_FEW = 1 / 3  # ratio of a number to the described one from which they differ
 _UNSURE = 0.5  # largest confidence where no change makes the channels fit
 _OPTIONAL = ("position_command",)  # columns that no balance uses
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
@@ -229,8 +230,14 @@ class _Search:
             torques = [name for name in reversed(DRIVING) if name in fits]
             if motion is not None and torques:
                 link = p.best_load(motion, torques[0])
-                # A sensor in another unit contradicts the load alone.
-                text = p.unlike(link) if r.load is None and all(fits[name].suspicious for name in torques) else ""
+                # A sensor in another unit contradicts the load alone; a single one makes both its numbers larger, or smaller.
+                ratios = (
+                    link.inertia / max(r.link.inertia, 1e-12),
+                    link.gravity_moment / max(r.link.gravity_moment, 1e-12),
+                )
+                unit = len(torques) == 1 and (max(ratios) < _FEW or min(ratios) > 1 / _FEW)
+                contradicted = r.load is None and not unit and all(fits[name].suspicious for name in torques)
+                text = p.unlike(link) if contradicted else ""
                 fits = Plausibility(self._joint, replace(r, link=link)).agreement(motion)
                 wrong += [Mistake("load", "link", r.name, text, 0.0, lost=True)] if text else []
             fitting.append(fits)

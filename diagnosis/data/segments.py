@@ -252,7 +252,8 @@ def _smoothed(
     if "motor_position" in conditioned.recording:
         return *through(cutoff), passband(time, cutoff), SETTINGS.settle_time
     readings = min([CUTOFF, *(SHARE * conditioned.channels[name].rate for name in conditioned.news)])
-    following = _following(p, cutoff)
+    following = max(SETTINGS.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), SETTINGS.slowest)
+    following = min(following, cutoff)
     at, found = through(readings, SETTINGS.readings)
     found = np.where(np.isin([*names, *names], ENCODERS)[:, None], through(following)[1], found)
     if weighed:  # channels that are compared go through one smoother
@@ -265,12 +266,6 @@ def _smoothed(
     )
 
 
-def _following(p: np.void, cutoff: float) -> float:
-    """Passband of the rotor's motion from the link encoder [Hz]; `cutoff`: of the encoder."""
-    resonance = float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi)
-    return min(max(SETTINGS.following * resonance, SETTINGS.slowest), cutoff)
-
-
 def _block(
     one: Segment, conditioned: Conditioned, noises: Sequence[np.ndarray], current_noise: np.ndarray, p: np.void
 ) -> int:
@@ -279,14 +274,9 @@ def _block(
     Above them, acceleration is noise alone, and least squares would be biased (errors in variables).
     """
     rate, most = 1.0 / (STEP * DECIMATION), SETTINGS.block
-    shown = conditioned.passband
-    if (
-        one.balances[CURRENT] and not one.rotor_measured
-    ):  # an octave above the passband 1.5 % of a motion pass the smoother
-        shown = 2 * _following(p, shown)
-    block = int(np.clip(0.5 / (STEP * DECIMATION * shown), 1, most))
-    if not one.link_measured:
-        return block
+    block = int(np.clip(0.5 / (STEP * DECIMATION * conditioned.passband), 1, most))
+    if not one.link_measured:  # orders of the motor show in the current above the passband of the link's encoder
+        return block if one.rotor_measured else 1
     if conditioned.stamps.error:
         return most  # replicates do not have errors of time
     highest = max(_highest(x, noise, rate) for x, noise in zip((one.rotor, one.link), noises, strict=True))
