@@ -179,8 +179,8 @@ def held_out_regions(
         # The noise in both: where only noise is left, neither is worse.
         floor = np.nansum(noise**2)
         ratio = float(np.sqrt((np.nansum(after**2) + floor) / max(np.nansum(before**2) + floor, 1e-300)))
-        each = (float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after))
-        return Region(name, name.startswith("recording "), samples[name], *each, ratio)
+        shown = [float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after)]
+        return Region(name, name.startswith("recording "), samples[name], shown[0], shown[1], shown[2], ratio)
 
     use, samples, shifts, found = {}, {}, {}, {}
     for name, masks in region_masks(problem).items():
