@@ -8,6 +8,7 @@ writes table and figure of docs/real_logs.md. The recordings are not part of thi
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import tempfile
 import xml.etree.ElementTree as ElementTree
@@ -121,6 +122,34 @@ def friction(shared: Path, folder: Path) -> list[Log]:
     return [cut("eRob80 (published friction)", load_joint(str(case / "erob80.yaml")), recordings)]
 
 
+def servo(shared: Path, folder: Path) -> list[Log]:
+    """An XL330-M288 servo (spur gears 288:1) with a pendulum of known mass: 190 Hz, counts of 1.5 mrad.
+
+    Its PWM over the resistance between the terminals stands for a current. Kt and R are from the stall torque and current of the
+    data sheet; inertia and friction are guesses.
+    """
+    numbers = {
+        "N": 288.4, "Kt": 0.52 / 1.47 / 288.4, "R": 5.0 / 1.47, "L": 5e-4, "Jm": 1.2e-8, "Jw": 1e-9, "bm": 1e-9, "Fc": 1e-4,
+        "bw": 5e-8,
+    }  # fmt: skip
+    wide = {"Jm": 1.0, "Kt": 0.3, "Fc": 2.0, "bw": 2.0}
+    sheet = Datasheet("CSG", 14, 100, numbers, {"counts": 4096}, {"bits": 12}, name="xl330", tolerances=wide)
+    joint, recordings = new_joint(sheet, folder / "xl330.yaml").joint, []
+    for file in sorted((shared / "robots" / "xl330").glob("*.json")):
+        log = json.loads(file.read_text())
+        time, position, load, volts = (
+            np.array([entry[name] for entry in log["entries"]], float)
+            for name in ("timestamp", "position", "load", "input_volts")
+        )
+        current = np.where(load > 2**15, load - 2**16, load) / 1000 * volts / numbers["R"]
+        link = Mounting(
+            inertia=log["mass"] * log["length"] ** 2 + 5e-4, gravity_moment=log["mass"] * 9.81 * log["length"]
+        )
+        columns = {"link_position": position, "motor_current": current}
+        recordings.append(Recording(file.stem, time - time[0], columns, link=link))
+    return [cut("XL330 servo with a pendulum", joint, recordings)]
+
+
 def ur3e(shared: Path, folder: Path) -> list[Log]:
     """The shoulder of a UR3e: strain wave gear 101:1, 125 Hz, one encoder."""
     recording = import_recording(load_layout("ur3e"), shared / "ur3e" / "shoulder_first_half.csv")
@@ -213,7 +242,7 @@ def franka(shared: Path, folder: Path) -> list[Log]:
     return found
 
 
-LOGS: tuple[Callable[[Path, Path], list[Log]], ...] = (kinova, pendulum, friction, ur3e, tiago, franka)
+LOGS: tuple[Callable[[Path, Path], list[Log]], ...] = (kinova, pendulum, friction, servo, ur3e, tiago, franka)
 
 
 # --- outcomes --------------------------------------------------------------------------------------------------------
