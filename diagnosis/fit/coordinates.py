@@ -122,13 +122,12 @@ class Hypothesis:
         return low, high
 
     def at_bound(self, u: np.ndarray) -> bool:
-        """Return whether a size is at the bound of the cause's parameters; one of several may be zero, where it does nothing."""
+        """Return whether a size is at the bound of the cause's parameters."""
         if self.polar:
             amplitude = self.free[0]
             return self.values(u)[amplitude.name] >= amplitude.bounds[1]
         low, high = (limit[self.magnitudes] for limit in self.limits)
-        least = (low < 0.0) & (u[self.magnitudes] <= low + 1e-6)
-        return bool(np.any(least | (u[self.magnitudes] >= high - 1e-6)))
+        return bool(np.any((u[self.magnitudes] <= low + 1e-6) | (u[self.magnitudes] >= high - 1e-6)))
 
     def confine(self, u: np.ndarray) -> np.ndarray:
         """Return coordinates within their limits."""

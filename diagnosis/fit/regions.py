@@ -122,7 +122,7 @@ def shrunk(problem: Problem, f: Fit, accepts: Callable[[Fit], bool]) -> Shrunk:
     start = problem.start(None, f.model)
     start[problem.zeros] = f.theta[problem.zeros]  # the description does not specify zeros
     before = encoder_zero.described(problem)
-    seen = held_out_regions(problem, f, system, described=before)
+    seen = held_out_regions(problem, f, system, described=before, replayed=True)
     worst = next((r for r in seen if r.worse), None)
 
     def part(share: float) -> tuple[Fit, tuple[Region, ...]]:
@@ -137,7 +137,7 @@ def shrunk(problem: Problem, f: Fit, accepts: Callable[[Fit], bool]) -> Shrunk:
             f, theta=theta, point=Point(residual, f.point.noise), covariance=covariance, least_covariance=covariance,
             noise=learn(problem.segments, residual, f.point.noise, problem.quantum(), None, f.noise.bands),
         )  # fmt: skip
-        return at, held_out_regions(problem, at, system, share, before)
+        return at, held_out_regions(problem, at, system, share, before, replayed=True)
 
     shares = list(SHARES) if seen else [0.0]  # without a held-out region nothing is written
     if worst is not None:
@@ -159,12 +159,14 @@ def held_out_regions(
     system: NormalEquations | None = None,
     share: float = 1.0,
     described: Columns | None = None,
+    replayed: bool = False,
 ) -> tuple[Region, ...]:
     """Return every region, the one with the largest ratio first.
 
     Args:
       system: normal equations about the fit of which `f` is a `share` of the way from the description.
       described: residuals of the zeroed description, if they are known.
+      replayed: replay regions where the linear model, whose shift may be too large for it, predicts harm.
     """
     system = NormalEquations(problem, f) if system is None else system
     described = encoder_zero.described(problem) if described is None else described
@@ -194,12 +196,10 @@ def held_out_regions(
             continue
         use[name], samples[name], shifts[name] = inside, count, share * system.without(masks)
         found[name] = region(name, [r + J @ shifts[name] for r, J in zip(f.point.residual, f.jacobian, strict=True)])
-    # A shift may be too large for the linear model: where it predicts harm, the replay decides.
-    doubted = [name for name, one in found.items() if one.worse]
-    replayed = (
-        problem.residuals([f.theta + shifts[name] for name in doubted], [f.model] * len(doubted)) if doubted else []
-    )
-    for name, unseen in zip(doubted, replayed, strict=True):
+    doubted = [name for name, one in found.items() if replayed and one.worse]
+    thetas = [f.theta + shifts[name] for name in doubted]
+    exact = problem.residuals(thetas, [f.model] * len(thetas)) if thetas else []
+    for name, unseen in zip(doubted, exact, strict=True):
         found[name] = region(name, unseen)
     return tuple(sorted(found.values(), key=lambda r: -r.ratio))
 
