@@ -49,7 +49,7 @@ def command(
     With a joint that states its uncertainty (as `diagnose` writes it), estimates have 95 % bands; estimators that simulate the
     joint's dynamics have bands only if `--filter` names them. Data with a mistake that makes estimates meaningless are refused.
     """
-    from ..diagnosis.data.coverage import louder
+    from ..diagnosis.data.coverage import noisy_torque_sensor
     from ..diagnosis.data.mistakes import require_sound
     from ..diagnosis.regression import contradictions, regressions
     from ..estimator import registry
@@ -84,7 +84,7 @@ def command(
     bands = described.uncertainty is not None
     with output_folder(out, maker) as folder:
         for recording in data.recordings:
-            if text := louder(recording, described):
+            if text := noisy_torque_sensor(recording, described):
                 warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
             found = estimate_recording(recording, described, filter_, bands)
             for name in filter_ or ():

@@ -92,7 +92,7 @@ def check(measurement: Measurement, joint: Joint) -> Check:
     for text in contradictions(found.regressions, joint):
         warnings.warn(f"{measurement.name}: {text}", InputWarning, stacklevel=2)
     for recording in data.recordings:
-        if text := coverage.louder(recording, joint):
+        if text := coverage.noisy_torque_sensor(recording, joint):
             warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
         ratio = coverage.torque_over_current(recording, joint)
         if ratio is not None:

@@ -32,10 +32,8 @@ TORSION_RATE, INERTIA_RATE = 50.0, 20.0
 """Rates [Hz] below which a log shows no torsion and no resonance, and no inertia: their passband is a quarter."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
 _AGREED = 0.05  # by which a drive's torque may differ from its torque constant times the current
-_LOUD, _VISIBLE = (
-    5.0,
-    0.15,
-)  # times the described noise, and share of the readings, from which a sensor's noise is named
+# Times the described noise, and share of the readings, from which a sensor's noise is named.
+_LOUD, _VISIBLE = 5.0, 0.15
 _FAST, _MANY = 100.0, 200  # Hz and samples, below which motion looks like noise
 _ABOVE_NOISE = 3.0  # noises of the current above which it is held against the drive's torque
 _CLIPPED = 0.995  # of the current limit
@@ -207,7 +205,7 @@ def torque_over_current(recording: Recording, joint: Joint) -> float | None:
     return ratio if abs(ratio - 1) > _AGREED + 3 * rest else None
 
 
-def louder(recording: Recording, joint: Joint) -> str:
+def noisy_torque_sensor(recording: Recording, joint: Joint) -> str:
     """Return in words that a torque sensor has noise far above the described one and visible in its readings; else empty."""
     if "joint_torque" not in recording or recording.interval * _FAST > 1.0:
         return ""

@@ -45,6 +45,7 @@ class ClaimSettings:
     worse: float = -3.0  # loss in a recording below which a change is not of all recordings
     much_worse: float = -9.0  # the same if the recording's channels fit with the change, or better than before
     one_of_several: float = 4.0  # added price of a mistake that not all recordings have
+    few: float = 3.0  # ratio of both numbers of a load to the described ones from which a torque's unit may be wrong
     beyond: float = 15.0  # price of a description that is wrong by more than a few times
     kept: int = 3  # states that are kept
     most: int = 3  # changes on top of each other
@@ -54,7 +55,6 @@ class ClaimSettings:
 
 SETTINGS = ClaimSettings()
 _TURN = 2 * np.pi
-_FEW = 1 / 3  # ratio of a number to the described one from which they differ
 _UNSURE = 0.5  # largest confidence where no change makes the channels fit
 _OPTIONAL = ("position_command",)  # columns that no balance uses
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
@@ -235,7 +235,7 @@ class _Search:
                     link.inertia / max(r.link.inertia, 1e-12),
                     link.gravity_moment / max(r.link.gravity_moment, 1e-12),
                 )
-                unit = len(torques) == 1 and (max(ratios) < _FEW or min(ratios) > 1 / _FEW)
+                unit = len(torques) == 1 and (max(ratios) < 1 / SETTINGS.few or min(ratios) > SETTINGS.few)
                 contradicted = r.load is None and not unit and all(fits[name].suspicious for name in torques)
                 text = p.unlike(link) if contradicted else ""
                 fits = Plausibility(self._joint, replace(r, link=link)).agreement(motion)

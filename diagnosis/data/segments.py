@@ -76,9 +76,8 @@ class Segment:
     link: np.ndarray  # the same of the link encoder; without it, as described
     rotor_measured: bool  # by a motor encoder; otherwise the rotor's angle follows from the link's
     link_measured: bool  # the motion of both ends; otherwise the link's is simulated
-    weighed: (
-        bool  # the link balance uses measured motion: of both encoders, or of the link encoder with a torque sensor
-    )
+    # the link balance uses measured motion: of both encoders, or of the link encoder with a torque sensor
+    weighed: bool
     torque: np.ndarray  # joint torque reading [N·m], shape (n,); empty without a sensor
     external: np.ndarray  # known torque on the link [N·m], shape (n,)
     arm: np.ndarray  # its part from other links of an arm, shape (n,)
@@ -90,9 +89,8 @@ class Segment:
     measured_rate: np.ndarray  # their first derivative in time [1/s], shape (k, 2)
     measured_bend: np.ndarray  # their second derivative [1/s²], shape (k, 2)
     state: np.ndarray  # decimated θm, θl, θm', θl' and θl'', shape (k, 5), for weights and regressors
-    load: (
-        np.ndarray
-    )  # joint torque on the link [N·m], shape (k,): measured, or from the described link and known pushes
+    # joint torque on the link [N·m], shape (k,): measured, or from the described link and known pushes
+    load: np.ndarray
     balances: np.ndarray  # which balances can be formed, shape (len(BALANCES),), bool
     usable: np.ndarray  # which residuals count, shape (k, len(BALANCES))
     held_out: np.ndarray  # residuals kept from every fit, same shape

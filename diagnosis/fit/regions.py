@@ -173,35 +173,39 @@ def held_out_regions(
     scale = problem.output_scale
     moving = [(s.usable & ~s.at_rest[:, None]).any(axis=1) for s in problem.segments]
 
-    def region(name: str, unseen: Columns) -> Region:
+    def count(where: list[np.ndarray]) -> int:
+        return int(sum(u.any(axis=1).sum() for u in where))
+
+    def region(name: str, where: list[np.ndarray], unseen: Columns) -> Region:
         before, seen, after, noise = (
-            _rms(x, use[name], scale) for x in (described, f.point.residual, unseen, f.point.noise)
+            _rms(x, where, scale) for x in (described, f.point.residual, unseen, f.point.noise)
         )
         formed = np.isfinite(before)
         # The noise in both: where only noise is left, neither is worse.
         floor = np.nansum(noise**2)
         ratio = float(np.sqrt((np.nansum(after**2) + floor) / max(np.nansum(before**2) + floor, 1e-300)))
         shown = [float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after)]
-        return Region(name, name.startswith("recording "), samples[name], shown[0], shown[1], shown[2], ratio)
+        return Region(name, name.startswith("recording "), count(where), shown[0], shown[1], shown[2], ratio)
 
-    use, samples, shifts, found = {}, {}, {}, {}
+    parts = []  # of each region its name, its residuals in motion, and the shift of the unknowns without it
     for name, masks in region_masks(problem).items():
-        inside = [
+        where = [
             (s.usable | s.held_out) & ~s.at_rest[:, None] & mask[:, None]
             for s, mask in zip(problem.segments, masks, strict=True)
         ]
-        count = int(sum(u.any(axis=1).sum() for u in inside))
         rest = int(sum((x & ~m).sum() for x, m in zip(moving, masks, strict=True)))
-        if count < FEWEST or rest < FEWEST:
-            continue
-        use[name], samples[name], shifts[name] = inside, count, share * system.without(masks)
-        found[name] = region(name, [r + J @ shifts[name] for r, J in zip(f.point.residual, f.jacobian, strict=True)])
-    doubted = [name for name, one in found.items() if replayed and one.worse]
-    thetas = [f.theta + shifts[name] for name in doubted]
+        if count(where) >= FEWEST and rest >= FEWEST:
+            parts.append((name, where, share * system.without(masks)))
+    found = [
+        region(name, where, [r + J @ shift for r, J in zip(f.point.residual, f.jacobian, strict=True)])
+        for name, where, shift in parts
+    ]
+    doubted = [i for i, one in enumerate(found) if replayed and one.worse]
+    thetas = [f.theta + parts[i][2] for i in doubted]
     exact = problem.residuals(thetas, [f.model] * len(thetas)) if thetas else []
-    for name, unseen in zip(doubted, exact, strict=True):
-        found[name] = region(name, unseen)
-    return tuple(sorted(found.values(), key=lambda r: -r.ratio))
+    for i, unseen in zip(doubted, exact, strict=True):
+        found[i] = region(*parts[i][:2], unseen)
+    return tuple(sorted(found, key=lambda r: -r.ratio))
 
 
 def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndarray:
