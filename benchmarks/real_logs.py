@@ -110,6 +110,39 @@ def pendulum(shared: Path, folder: Path) -> list[Log]:
     return [cut("AK80-6 with a pendulum", load_joint(str(case / "ak80_6.yaml")), [recording])]
 
 
+def double_pendulum(shared: Path, folder: Path) -> list[Log]:
+    """Two AK80-6 drives in series (planetary gears 6:1), 500 Hz, torque from the drives' current; both joints move.
+
+    Masses, lengths and inertias are the published ones.
+    """
+    robot = shared / "robots" / "double_pendulum"
+    p = {k: float(v) for k, v in re.findall(r"(\w+): (\S+)", (robot / "published_parameters.yml").read_text())}
+    body = ""
+    for k in (2, 1):
+        centre, mass = p[f"r{k}"], p[f"m{k}"]
+        own = max(p[f"I{k}"] - mass * centre**2, 1e-4)
+        inertial = f'<inertial pos="0 0 {-centre}" mass="{mass}" diaginertia="{own} {own} 1e-4"/>'
+        body = f'<body pos="0 0 {-p["l1"] * (k == 2)}"><joint name="joint{k}" axis="0 -1 0"/>{inertial}{body}</body>'
+    model = folder / "double_pendulum.xml"
+    model.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>", encoding="utf-8")
+    joint = load_joint(str(shared / "cases" / "19_quasi_direct_drive_pendulum_DFKI" / "ak80_6.yaml"))
+    found = []
+    for k in (1, 2):
+        recordings = []
+        for file in sorted(robot.glob("*.csv")):
+            table = pd.read_csv(file)
+            columns = {
+                "link_position": table[f"pos_meas{k}"].to_numpy(),
+                "motor_torque": table[f"tau_meas{k}"].to_numpy() / p["gr"],
+            }
+            recording = Recording(file.stem, table["time"].to_numpy(), columns)
+            others = {f"arm_joint{3 - k}_position": table[f"pos_meas{3 - k}"].to_numpy()}
+            spec = ArmSpec(model=model.name, joint=f"joint{k}")
+            recordings.append(in_arm(recording, spec, others, model, folder, folder))
+        found.append(cut(f"double pendulum, joint {k}", joint, recordings))
+    return found
+
+
 def friction(shared: Path, folder: Path) -> list[Log]:
     """Motion made with the published friction law of an eRob80 (strain wave gear 100:1), two loads."""
     case = shared / "cases" / "13_friction_of_an_eRob80"
@@ -242,7 +275,9 @@ def franka(shared: Path, folder: Path) -> list[Log]:
     return found
 
 
-LOGS: tuple[Callable[[Path, Path], list[Log]], ...] = (kinova, pendulum, friction, servo, ur3e, tiago, franka)
+LOGS: tuple[Callable[[Path, Path], list[Log]], ...] = (
+    kinova, pendulum, double_pendulum, friction, servo, ur3e, tiago, franka,
+)  # fmt: skip
 
 
 # --- outcomes --------------------------------------------------------------------------------------------------------
@@ -264,9 +299,9 @@ def outcomes(log: Log) -> list[Outcome]:
             moving = _moving(r)
             simulated = [v.recordings[i].simulated[one.channel] for v in validations]
             predicted = [simulated[0], one.predict(r, log.joint), simulated[1]]
-            for error, x in zip(errors, predicted, strict=True):
-                left = (r[one.channel] - x)[moving]
-                error.append(left[np.isfinite(left)])
+            left = (r[one.channel] - np.array(predicted))[:, moving]
+            for error, x in zip(errors, left[:, np.isfinite(left).all(axis=0)], strict=True):
+                error.append(x)
         described, regression, diagnosed = (float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for e in errors)
         found.append(
             Outcome(

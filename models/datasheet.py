@@ -192,7 +192,7 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
         "mounting": "link",
         "shared_tolerances": {
             "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if exact else 0.2,
-            "friction": scatter if "Fs" in fitted.numbers else 0.2 if "Fc" in sheet.numbers else _FACTOR_2,
+            "friction": scatter if "Fs" in fitted.numbers else _friction_tolerance(sheet),
         },
         "numbers": numbers,
         "kinematic_error": rules.kinematic_error(),
@@ -220,9 +220,18 @@ _SHEET = {"N": 0.0, "R": 0.0, "L": 0.0, "supply_voltage": 0.0, "current_limit": 
 """Relative standard deviation of a number in a datasheet; 0.1 for others."""
 
 
+def _friction_tolerance(sheet: Datasheet) -> float:
+    """Relative standard deviation that Fc and Fs have in common; all of Fc's where Fs is filled from it."""
+    if "Fc" not in sheet.numbers:
+        return _FACTOR_2
+    return 0.2 if "Fs" in sheet.numbers else sheet.tolerances.get("Fc", 0.2)
+
+
 def _given(symbol: str, sheet: Datasheet, catalogued: Gear) -> tuple[float, str]:
     what = catalogued.name if symbol not in _OF_MOTOR else sheet.motor or "motor"
     source = sheet.sources.get(symbol, f"datasheet of {what}")
+    if symbol == "Fc" and "Fs" not in sheet.numbers:  # in `_friction_tolerance`
+        return 0.0, source
     return sheet.tolerances.get(symbol, _SHEET.get(symbol, 0.1)), source
 
 
@@ -257,12 +266,13 @@ class _Rules:
     def __init__(self, catalogued: Gear, given: Mapping[str, float]):
         self.gear = catalogued
         self.known = dict(given)
+        self.rules = _RULES | {"Fs": _FS_FROM_FC} if "Fc" in given else _RULES
         self.where = f"Harmonic Drive's catalogue, {catalogued.like}-{catalogued.size:g}-{catalogued.ratio:g}"
         if not catalogued.exact:
             self.where += ", interpolated"
 
     def of(self, symbol: str) -> tuple[float, float, str]:
-        function, tolerance, rule = _RULES[symbol]
+        function, tolerance, rule = self.rules[symbol]
         value = self.known[symbol] = float(f"{function(self.gear, self):.3g}")
         rule = rule.replace("CATALOGUE", self.where).replace("PEAK", f"{self.gear.peak_torque:.3g}")
         return value, tolerance, rule
@@ -286,7 +296,8 @@ class _Rules:
         return orders
 
 
-_RULES: dict[str, tuple[Callable[[Gear, _Rules], float], float, str]] = {
+_Rule = tuple[Callable[[Gear, _Rules], float], float, str]
+_RULES: dict[str, _Rule] = {
     "Jw": (lambda g, v: g.inertia, _FACTOR_2, "CATALOGUE, its wave generator's inertia"),
     "bm": (lambda g, v: 0.03 * v["bw"], _FACTOR_2, "3 % of bw: the mesh holds nearly all viscous friction"),
     "supply_voltage": (lambda g, v: 48.0, 0.0, "48 V, usual for robot joints"),
@@ -317,6 +328,8 @@ _RULES: dict[str, tuple[Callable[[Gear, _Rules], float], float, str]] = {
     "bl": (lambda g, v: 0.02 * (g.size / 17) ** 3, _FACTOR_2, "output bearing: the test joint's, by the cube of the size"),
 }  # fmt: skip
 """Value, relative tolerance and rule by symbol, from the gear and the numbers known so far."""
+_FS_FROM_FC: _Rule = (lambda g, v: v["Fc"] / 0.8, 0.1, "Fc / 0.8, the test joint's proportion")
+"""The rule of Fs where Fc is given: the catalogue's starting torque need not be of this gear."""
 
 
 def _mountings(sheet: Datasheet, catalogued: Gear, value: Mapping[str, float]) -> dict[str, Any]:

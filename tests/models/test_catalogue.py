@@ -68,3 +68,13 @@ def test_every_gear_makes_a_joint_that_is_plausible(tmp_path, size):
             odd = [p for p in checked.problems if "time constant" not in p.message]  # the motor is nobody's
             assert not odd, (series, size, ratio, odd)
             assert checked.joint is not None and checked.joint.model_dump() == made.joint.model_dump()
+
+
+@pytest.mark.parametrize(("tolerances", "common"), [({}, 0.2), ({"Fc": 1.5}, 1.5)])
+def test_a_given_coulomb_friction_also_gives_the_static_friction(tolerances, common):
+    """A servo's gear with the catalogue's starting torque would take 100 times its sliding friction to break away."""
+    numbers = {"Kt": 1.2e-3, "R": 3.4, "L": 5e-4, "Jm": 1e-8, "Fc": 1e-4}
+    joint = new_joint(Datasheet("CSG", 14, 100, numbers, {"counts": 4096}, {"bits": 12}, tolerances=tolerances)).joint
+    assert joint.numbers["Fs"].value == pytest.approx(1.25e-4)
+    assert joint.shared_tolerances["friction"] == common
+    assert joint.numbers["Fs"].shared == joint.numbers["Fc"].shared == "friction"
