@@ -10,16 +10,14 @@ from matplotlib.figure import Figure
 
 from ..posteriors import settled
 from ..style import MODEL, filter_colors
-from .legends import legend
-from .ruling import decades, ruled
-from .sheet import sheet
+from .sheet import decades, legend, sheet, styled
 from .signals import line, peak
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 
-@ruled
+@styled
 def error(run: Run) -> Figure:
     """Error of every filter, and its distribution."""
     names = list(run.estimates)

@@ -11,9 +11,7 @@ from matplotlib.patches import Rectangle
 from ..posteriors import robust_share, settled, switching
 from ..series import envelope
 from ..style import COMMAND, EXTERNAL, SENSOR
-from .legends import legend
-from .ruling import ruled
-from .sheet import PIXELS, sheet
+from .sheet import PIXELS, legend, sheet, styled
 from .signals import against, line, main, mode, peak, response, rms, torques
 from .zoom import window, zoomed
 
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 PAPER_LIMIT = 0.1  # the paper's limit of the difference between estimate and sensor without load [N·m]
 
 
-@ruled
+@styled
 def no_load(run: Run) -> Figure:
     """Fig. 5: sensor and estimate without load; below, their difference with the paper's ±0.1 N·m."""
     name, colors = main(run)
@@ -54,7 +52,7 @@ def no_load(run: Run) -> Figure:
     return figure
 
 
-@ruled
+@styled
 def link_sweep(run: Run) -> Figure:
     """Fig. 7: torque with link, difference between estimate and sensor, working mode."""
     name, _ = main(run)
@@ -71,7 +69,7 @@ def link_sweep(run: Run) -> Figure:
     return _sweep(run, "Fig. 7  Link from vertical to horizontal", caption)
 
 
-@ruled
+@styled
 def external_push(run: Run) -> Figure:
     """Fig. 8: the sweep with pushes in both directions."""
     name, _ = main(run)

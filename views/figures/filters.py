@@ -10,9 +10,7 @@ from matplotlib.figure import Figure
 from ..posteriors import SHARE_WINDOW, innovations, settled, switching
 from ..series import share
 from ..style import filter_colors
-from .legends import legend
-from .ruling import decades, ruled
-from .sheet import sheet
+from .sheet import decades, legend, sheet, styled
 from .signals import line, mode, period
 
 if TYPE_CHECKING:
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
 _DARK = "#30353B"
 
 
-@ruled
+@styled
 def filters(run: Run) -> Figure:
     """Innovations of the filters with ±√P_Y, normalised innovation squared, working mode."""
     found = innovations(run)

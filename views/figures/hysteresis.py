@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from ...models.laws import flexspline_torsion, kinematic_error, wave_generator_torsion
 from ..posteriors import settled
 from ..style import COMMAND, EXTERNAL, MODEL, TRUTH
-from .ruling import ruled
-from .sheet import sheet
+from .sheet import sheet, styled
 from .signals import peak
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 POINTS = 6000  # largest number of points of the loop, which cannot be drawn as an envelope
 
 
-@ruled
+@styled
 def stiffness(run: Run) -> Figure:
     """Fig. 3: torsion over torque of the locked rotor, with its hysteresis, and the nominal compliance curve."""
     p = run.joint.record(run.scenario.mount(run.joint))[0]

@@ -9,16 +9,14 @@ from matplotlib.figure import Figure
 
 from ...models.controller import MODES
 from ..style import COMMAND, EXTERNAL, SENSOR, TRUTH
-from .legends import legend
-from .ruling import ruled
-from .sheet import sheet
+from .sheet import legend, sheet, styled
 from .signals import against, line, main, peak, settled, torques
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 
-@ruled
+@styled
 def overview(run: Run) -> Figure:
     """Draw position, position error, current, external torque, joint torque."""
     name, _ = main(run)

@@ -5,6 +5,7 @@ Margins are fixed lengths, so that nothing is drawn twice to measure it.
 
 from __future__ import annotations
 
+import itertools
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -13,9 +14,10 @@ from typing import Any, ParamSpec, TypeVar
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from PIL import Image
 
 from ...models.files import write_into_place
@@ -118,9 +120,37 @@ def sheet(
             axes.yaxis.set_major_locator(
                 MaxNLocator(8 if height > 3 else 6 if height > 1.2 else 4, steps=[1, 2, 2.5, 5, 10])
             )
-            axes.xaxis.set_visible(row not in shared)
+            axes.tick_params(axis="x", labelbottom=row not in shared)
         above += height + gap
     return figure, rows
+
+
+def legend(axes: Axes, *more: Axes, above: float = 0.0) -> None:
+    """Draw the legend of a panel and of more axes on it, in a row above its right end; `above`: distance from it [in]."""
+    drawn = [one.get_legend_handles_labels() for one in (axes, *more)]
+    handles, labels = ([*itertools.chain(*parts)] for parts in zip(*drawn, strict=True))
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    corner = (1.0, 1.0 + above / (axes.get_position().height * figure.get_figheight()))
+    axes.legend(
+        handles,
+        labels,
+        loc="lower right",
+        bbox_to_anchor=corner,
+        ncols=len(labels),
+        borderaxespad=0.0,
+        borderpad=0.3,
+        columnspacing=1.2,
+    )
+
+
+def decades(*several: Axis) -> None:
+    """Make axes logarithmic, with a tick per decade and plain numbers."""
+    for axis in several:
+        axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+        axis.set_major_locator(LogLocator(numticks=6))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
 
 
 def save(figure: Figure, path: Path) -> Path:

@@ -9,9 +9,7 @@ from matplotlib.figure import Figure
 
 from ..posteriors import modes
 from ..style import EXTERNAL, SENSOR, TRUTH, filter_colors
-from .legends import legend
-from .ruling import ruled
-from .sheet import sheet
+from .sheet import legend, sheet, styled
 from .signals import peak, response
 
 if TYPE_CHECKING:
@@ -19,7 +17,7 @@ if TYPE_CHECKING:
     from ...scenarios.scenario import Disturbance
 
 
-@ruled
+@styled
 def push_zoom(run: Run) -> Figure:
     """Fig. 9: details of one push in each direction, with every filter."""
     names = list(run.estimates)
@@ -57,7 +55,7 @@ def push_zoom(run: Run) -> Figure:
             axes.set_xlim(time[0], time[-1])
     for (first, *_), label in zip(rows, ("joint torque [N·m]", "estimate − truth [N·m]", "robust mode"), strict=True):
         first.set_ylabel(label)
-    legend(rows[0][-1], above=0.38)
+    legend(rows[0][-1], above=0.2)
     return figure
 
 
