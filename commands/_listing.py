@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
@@ -25,7 +24,9 @@ class Entry:
 def show(what: str, entries: Mapping[str, Entry], as_json: bool) -> None:
     """Print a list in 80 columns, or as JSON; `what`: heading of the names."""
     if as_json:
-        print(json.dumps({name: asdict(entry) for name, entry in entries.items()}, indent=1, ensure_ascii=False))
+        from ..models.files import json_text
+
+        print(json_text(dict(entries)))
         return
     from rich.table import Table
     from rich.text import Text

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError, InputWarning
@@ -55,7 +54,7 @@ def command(
     from ..estimator import registry
     from ..estimator.offline import beyond_range, estimate_recording, lacking, write_estimates
     from ..estimator.scoring import no_estimates, score
-    from ..models.files import write_json
+    from ..models.files import plain, write_json
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
     from ._console import console
@@ -106,7 +105,7 @@ def command(
                 "wrong_load": list(wrong_load),
                 "no_estimates": {what: sorted(worse) for what, (_, worse) in poor.items()}
                 | ({"external_torque": sorted(found.external_torque)} if wrong_load else {}),
-                **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
+                **plain(scores),
             }
             if not as_json:
                 lines[recording.name] = [(f"{path}", "")]

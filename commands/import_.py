@@ -93,7 +93,7 @@ def command(
             for recording in measurement.recordings
         }
     if as_json:
-        return {"recordings": imported, "mended": [m.to_json() for m in mistakes]}
+        return {"recordings": imported, "mended": mistakes}
     for one in imported.values():
         if one["description_kept"]:
             terminal.print(f"{Path(one['file']).with_suffix('.yaml')}: kept, as it was edited")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..models.files import plain
 from ..models.joint import Joint
 from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement
@@ -69,7 +70,7 @@ class Finding:
             "name": self.name,
             "component": self.component,
             "confidence": round(self.confidence, 3),
-            "parameters": {k: {"value": p.value, "std": p.std, "unit": p.unit} for k, p in self.parameters.items()},
+            "parameters": plain(self.parameters),
             "explains": round(self.explains, 4),
             "worth": {"value": self.contribution, "unit": "N·m"},
         }
@@ -206,37 +207,20 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of `diagnosis.json`."""
-        return {
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "causes": [c.to_json() for c in self.causes],
-            "minor": [c.to_json() for c in self.minor],
-            "calibration": {
-                k: {"nominal": m.nominal, "value": m.value, "std": m.std, "tolerance": m.tolerance, "unit": m.unit}
-                for k, m in self.calibration.items()
-            },
-            "confusable": [list(pair) for pair in self.confusable],
-            "undetermined": list(self.undetermined),
-            "residual": {
-                k: {"before": r.before, "after": r.after, "noise": r.noise, "unit": r.unit}
-                for k, r in self.residual.items()
-            },
-            "regressions": [r.to_json() for r in self.regressions],
-            "regions": [r.to_json() for r in self.regions],
-            "estimation": self.estimation,
-            "held_out": self.held_out,
-            "next": None if self.plan is None else self.plan.to_json(),
-            "mistakes": [m.to_json() for m in self.mistakes],
-            "decisions": [
-                {
-                    "stage": d.stage, "cause": d.cause, "parameters": d.fixed, "gain": _finite(d.gain),
-                    "size": round(d.size, 4), "taken": d.taken, "reason": d.reason,
-                }
-                for d in self.decisions
-            ],
-            "complete": self.complete,
-        }  # fmt: skip
-
-
-def _finite(x: float) -> float | None:
-    return float(f"{x:.4g}") if np.isfinite(x) else None
+        shifts = {k: {name: x for name, x in vars(m).items() if name != "moved"} for k, m in self.calibration.items()}
+        decisions = [
+            {
+                "stage": d.stage, "cause": d.cause, "parameters": d.fixed, "gain": float(f"{d.gain:.4g}"),
+                "size": round(d.size, 4), "taken": d.taken, "reason": d.reason,
+            }
+            for d in self.decisions
+        ]  # fmt: skip
+        return plain(
+            {
+                "verdict": self.verdict, "reason": self.reason, "causes": self.causes, "minor": self.minor,
+                "calibration": shifts, "confusable": self.confusable, "undetermined": list(self.undetermined),
+                "residual": self.residual, "regressions": self.regressions, "regions": self.regions,
+                "estimation": self.estimation, "held_out": self.held_out, "next": self.plan, "mistakes": self.mistakes,
+                "decisions": decisions, "complete": self.complete,
+            }
+        )  # fmt: skip

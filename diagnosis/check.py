@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from ..estimator.conditioning import Coarse, coarser, condition
 from ..models import causes
 from ..models.errors import InputWarning
+from ..models.files import plain
 from ..models.joint import Joint
 from ..models.recording import Measurement
 from .data import coverage
@@ -55,19 +56,14 @@ class Check:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data, as `flexspline check --json` prints them."""
-        return {
-            "measurement": self.measurement.name,
-            "joint": self.joint.name,
-            "mistakes": [m.to_json() for m in self.mistakes],
-            "fixed": list(self.measurement.fixed),
-            "recordings": [asdict(s) for s in self.recordings],
-            "missing": list(self.missing),
-            "coarser": [asdict(one) for one in self.coarse],
-            "balances": [asdict(b) for b in self.balances],
-            "regressions": [r.to_json() for r in self.regressions],
-            "can_show": list(self.can_show),
-            "undetermined": self.undetermined,
-        }
+        return plain(
+            {
+                "measurement": self.measurement.name, "joint": self.joint.name, "mistakes": self.mistakes,
+                "fixed": self.measurement.fixed, "recordings": self.recordings, "missing": self.missing, "coarser": self.coarse,
+                "balances": self.balances, "regressions": self.regressions, "can_show": self.can_show,
+                "undetermined": self.undetermined,
+            }
+        )  # fmt: skip
 
 
 def check(measurement: Measurement, joint: Joint) -> Check:

@@ -27,6 +27,7 @@ from scipy.optimize import lsq_linear
 from ..estimator.conditioning import as_logged
 from ..models import laws
 from ..models.errors import InputError
+from ..models.files import plain
 from ..models.friction_map import friction, steady
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
@@ -81,11 +82,9 @@ class Collapse:
 
     def to_json(self) -> dict[str, Any]:
         """As `flexspline export --json` prints it."""
-        worst = self.worst
         return {
             "structure": self.structure, "full": self.full, "written": self.written, "nominal": self.nominal, "unit": "A",
-            "worse_than_nominal": self.worse_than_nominal, "samples": self.samples,
-            "worst": None if worst is None else vars(worst),
+            "worse_than_nominal": self.worse_than_nominal, "samples": self.samples, "worst": plain(self.worst),
             "visited": {"speed": self.visited[0], "load": self.visited[1]}, "parameters": self.parameters,
         }  # fmt: skip
 

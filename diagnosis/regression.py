@@ -15,13 +15,14 @@ joint that predicts held-out data worse is not written.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from ..estimator.conditioning import Conditioned, condition
 from ..models.calibration import CUT, Calibration
+from ..models.files import plain
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
 from ..models.motion import smooth
@@ -72,13 +73,8 @@ class Coefficient:
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        found: dict[str, Any] = {"name": self.name, "value": self.value, "std": self.std}
-        if self.means:
-            found |= {
-                "means": self.means, "number": self.number, "number_std": self.number_std, "described": self.described,
-                "tolerance": self.tolerance, "unit": self.unit,
-            }  # fmt: skip
-        return found
+        shown = [f.name for f in fields(self)][: -1 if self.means else 3]
+        return {name: getattr(self, name) for name in shown}
 
 
 @dataclass(frozen=True)
@@ -127,9 +123,9 @@ class Regression:
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         return {
-            "channel": self.channel, "unit": self.unit, "rms": self.rms, "held_out": _finite(self.held_out),
+            "channel": self.channel, "unit": self.unit, "rms": self.rms, "held_out": plain(self.held_out),
             "spread": self.spread, "samples": self.samples, "passband": self.passband, "left_out": list(self.left_out),
-            "coefficients": [c.to_json() for c in self.coefficients],
+            "coefficients": plain(self.coefficients),
         }  # fmt: skip
 
 
@@ -378,7 +374,3 @@ def _of_joint(
 
 def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(x * x)))
-
-
-def _finite(x: float) -> float | None:
-    return x if np.isfinite(x) else None

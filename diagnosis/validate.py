@@ -16,7 +16,7 @@ Every simulated channel has a 95 % band for the channel without its sensor's noi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -28,6 +28,7 @@ from ..estimator.conditioning import Conditioned, as_logged, condition
 from ..models import dynamics
 from ..models.dynamics import State
 from ..models.errors import InputError
+from ..models.files import plain
 from ..models.joint import Joint
 from ..models.joint_parts import EncoderSpec, ValidRange
 from ..models.kernels import kernel
@@ -159,17 +160,13 @@ class Validation:
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of `validation.json`."""
-        return {
-            "format": 1,
-            "joint": self.joint,
-            "residual": {name: asdict(error) for name, error in self.residual.items()},
-            "regions": [region.to_json() for region in self.regions],
-            "beyond": self.beyond,
-            "mistakes": [m.to_json() for m in self.mistakes],
-            "fixed": list(self.fixed),
-            "untared": self.mostly_offset,
-            "recordings": [r.name for r in self.recordings],
-        }
+        return plain(
+            {
+                "format": 1, "joint": self.joint, "residual": self.residual, "regions": self.regions, "beyond": self.beyond,
+                "mistakes": self.mistakes, "fixed": self.fixed, "untared": self.mostly_offset,
+                "recordings": [r.name for r in self.recordings],
+            }
+        )  # fmt: skip
 
 
 def validate(measurement: Measurement, joint: Joint) -> Validation:

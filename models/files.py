@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import math
 import re
@@ -219,8 +220,8 @@ def flow_text(data: Any) -> str:
 
 
 def json_text(data: Any) -> str:
-    """Return data as JSON text, with null for numbers that are not finite."""
-    return json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False)
+    """Return data as JSON text (`plain`)."""
+    return json.dumps(plain(data), indent=1, ensure_ascii=False, allow_nan=False)
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -234,11 +235,21 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _finite(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return dictionaries, lists, text and numbers: of an object what its `to_json` returns, or else its fields; None for a
+    number that is not finite."""
+    if isinstance(value, (str, int, type(None))):
+        return value
+    if hasattr(value, "to_json"):
+        return plain(value.to_json())
+    if dataclasses.is_dataclass(value):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
+        return {key: plain(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(v) for v in value]
+        return [plain(one) for one in value]
+    if hasattr(value, "tolist"):  # of NumPy
+        return plain(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,16 +25,19 @@ def command(
 
     Exit code 2 if there are errors: commands refuse the file, or its numbers contradict each other.
     """
+    from ...models.files import json_text
     from ...models.joint_check import check
 
     checked = check(joint)
     warnings = len(checked.problems) - checked.errors
     if as_json:
         found = {
-            "file": str(checked.path), "errors": checked.errors, "warnings": warnings,
-            "problems": [asdict(p) for p in checked.problems],
-        }  # fmt: skip
-        print(json.dumps(found, indent=1, ensure_ascii=False))
+            "file": str(checked.path),
+            "errors": checked.errors,
+            "warnings": warnings,
+            "problems": checked.problems,
+        }
+        print(json_text(found))
     else:
         for problem in checked.problems:
             print(line(checked.path, problem))

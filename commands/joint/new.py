@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -119,8 +118,8 @@ def command(
     compared = comparison(made.joint, catalogue) if catalogue is not None else {}
     if as_json:
         return compared | {
-            "file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled],
-            "problems": [asdict(p) for p in check(path).problems],
+            "file": str(path), "mjcf": str(mjcf), "filled": made.filled,
+            "problems": check(path).problems,
         }  # fmt: skip
     _show(made, path, mjcf, catalogue)
 

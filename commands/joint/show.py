@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,7 +37,7 @@ def command(
     `--out joint.png` draws it. `--gear-sheet` adds the predicted friction and efficiency at each entry of a data sheet.
     """
     from ...models.characteristics import characteristics
-    from ...models.files import load
+    from ...models.files import load, plain
     from ...models.gear_sheet import GearSheet, comparison
     from ...models.joint import load_joint
 
@@ -49,9 +48,8 @@ def command(
     found = characteristics(described)
     seen = _seen(described)
     if as_json:
-        shown = {key: _plain(value) for key, value in asdict(found).items()}
         compared = comparison(described, catalogue) if catalogue is not None else {}
-        answer = {"joint": described.name, **shown, **compared, "diagnosis": seen}
+        answer = {"joint": described.name, **plain(found), **compared, "diagnosis": seen}
     else:
         from ...views.joint_text import WIDTH, comparison_text, joint_text
         from .._console import console
@@ -67,10 +65,6 @@ def command(
         if not as_json:
             print(out)
     return answer if as_json else None
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _seen(joint: Joint) -> dict[str, list[str]]:

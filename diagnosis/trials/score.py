@@ -20,6 +20,7 @@ from scipy.stats import binomtest
 
 from ...models import causes, plugins, processes
 from ...models.errors import InputError
+from ...models.files import plain
 from ...models.joint import Joint, load_joint
 from ...models.output import at_end
 from ...models.parameters import short_way
@@ -358,7 +359,7 @@ class Row:
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        value = self.value.to_json() if isinstance(self.value, Rate) else {"seconds": self.value}
+        value = plain(self.value) if isinstance(self.value, Rate) else {"seconds": self.value}
         return {"name": self.name, **value, "target": self.target, "at_most": self.at_most}
 
 
@@ -439,17 +440,11 @@ def found_nine_in_ten(outcomes: Sequence[Outcome]) -> float | None:
 
 def report(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Everything above as plain data, by size."""
-
-    def plain(x: Rate | float) -> Any:
-        return x.to_json() if isinstance(x, Rate) else x
-
+    sizes = sorted({o.size for o in outcomes}, reverse=True)
     return {
-        "rows": [row.to_json() for row in rows(outcomes)],
-        "sizes": {
-            f"{size:g}": {k: plain(v) for k, v in summary([o for o in outcomes if o.size == size]).items()}
-            for size in sorted({o.size for o in outcomes}, reverse=True)
-        },
-        "confusion": {truth: dict(named) for truth, named in confusion(outcomes).items()},
+        "rows": plain(rows(outcomes)),
+        "sizes": {f"{size:g}": plain(summary([o for o in outcomes if o.size == size])) for size in sizes},
+        "confusion": plain(confusion(outcomes)),
         "reliability": [
             {"from": low, "to": high, "mean": mean, **share.to_json()} for low, high, mean, share in reliability(outcomes)
         ],

@@ -14,7 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import matplotlib
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
+from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
@@ -147,7 +147,7 @@ def legend(axes: Axes, *more: Axes, above: float = 0.0) -> None:
 def decades(*several: Axis) -> None:
     """Make axes logarithmic, with a tick per decade and plain numbers."""
     for axis in several:
-        axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+        axis.axes.set(**{"xscale" if isinstance(axis, XAxis) else "yscale": "log"})
         axis.set_major_locator(LogLocator(numticks=6))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_locator(NullLocator())
