@@ -1,4 +1,4 @@
-"""A scenario that runs while a viewer shows it."""
+"""A run that a viewer shows as it goes on."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from ..models.errors import InputError
 from ..models.output import at_end
 
 if TYPE_CHECKING:
-    from ..scenarios.live import LiveRun
     from ..scenarios.run import Run
-    from ..views.rerun import LiveRecording
+    from ..views.rerun import RunRecording
 
 ADDRESS = "127.0.0.1"  # address of the viewer: this computer only
 UPDATE = 0.04  # time between two updates of the viewer [s]
@@ -24,58 +23,41 @@ _LONGEST = 1.0  # longest time between two updates on a slow computer [s]
 _PATIENCE = 30.0  # time for a viewer to open [s]
 
 
-def show_live(live: LiveRun, words: list[str], environment: dict[str, str], port: int, speed: float) -> Run | None:
-    """Open a viewer, and run a scenario in it at `speed` seconds per second; `words`, `environment`: of the viewer's
-    process, which listens on `port`. Return the whole run after the viewer is closed; None if it was closed before the
-    end.
-
-    Raises:
-      InputError: a viewer that does not open.
-      InputError, FilterDiverged: as `scenarios.run.run_scenario`.
-    """
+def show_live(run: Run, words: list[str], environment: dict[str, str], port: int, speed: float) -> None:
+    """Open a viewer, and play a run in it at `speed` seconds per second, until the viewer is closed; `words`,
+    `environment`: of the viewer's process, which listens on `port`. Raises `InputError`: a viewer that does not open."""
     os.environ.setdefault("RUST_LOG", "off")  # a closed viewer is not an error
     import rerun as rr
 
-    from ..views.rerun import LiveRecording
+    from ..views.rerun import RunRecording
 
-    first = live.advance(speed * UPDATE)  # compiles kernels, and raises errors, before the window opens
     with viewer_process(words, environment, subprocess.DEVNULL) as viewer:
         _wait_for(viewer, port)
-        stream = rr.RecordingStream(f"flexspline live {live.scenario.name}")
+        stream = rr.RecordingStream(f"flexspline live {run.name}")
         stream.connect_grpc(f"rerun+http://{ADDRESS}:{port}/proxy")
         try:
-            run = play(live, LiveRecording(stream, live.start), speed, first, viewer)
-            if run is not None:
+            if play(RunRecording(stream, run, live=True), speed, viewer):
                 stream.flush(timeout_sec=_PATIENCE)
                 viewer.wait()
         finally:
             stream.disconnect()
-    return run
 
 
-def play(
-    live: LiveRun,
-    shown: LiveRecording,
-    speed: float,
-    first: Run | None = None,
-    viewer: subprocess.Popen[bytes] | None = None,
-) -> Run | None:
-    """Run a scenario at `speed`, or as fast as possible, and show every stretch; `first`: stretch that is already
-    simulated. Return the whole run; None if the viewer was closed before its end."""
-    begin = time.monotonic() - live.done / speed
-    if first is not None:
-        shown.send(first)
-    while not live.over:
-        behind = speed * (time.monotonic() - begin) - live.done
-        shown.send(live.advance(min(max(behind, 0.0) + speed * UPDATE, speed * _LONGEST)))
-        left = begin + live.done / speed - time.monotonic()
-        if left > 0:
-            time.sleep(left)
+def play(shown: RunRecording, speed: float, viewer: subprocess.Popen[bytes] | None = None) -> bool:
+    """Show a run at `speed`, stretch by stretch; return False if the viewer was closed before the end."""
+    begin, done, ticks = time.monotonic(), 0, len(shown.run.time)
+    period = float(shown.run.time[1]) / speed  # s, of a tick
+    while done < ticks:
+        now = time.monotonic() - begin + UPDATE
+        end = min(max(min(round(now / period), done + round(_LONGEST / period)), done + 2), ticks)
+        end = ticks if ticks - end == 1 else end  # a single tick has no period
+        shown.send(slice(done, end))
+        done = end
+        time.sleep(max(begin + done * period - time.monotonic(), 0.0))
         if viewer is not None and viewer.poll() is not None:
-            return None
-    run = live.finish()
-    shown.finish(run)
-    return run
+            return False
+    shown.finish()
+    return True
 
 
 def free_port() -> int:

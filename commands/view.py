@@ -45,7 +45,7 @@ def command(
         typer.Option(
             "--live",
             metavar="SCENARIO",
-            help="Run a scenario (name or path) and show it while it runs; nothing is written.",
+            help="Run a scenario (name or path) and play it; nothing is written.",
             autocompletion=shipped("scenarios"),
         ),
     ] = None,
@@ -57,7 +57,7 @@ def command(
     web: Annotated[bool, typer.Option("--web", help="In the browser, instead of a window.")] = False,
     as_json: AsJson = False,
 ) -> Any:
-    """Open one or several runs, a diagnosis, or a running scenario (`--live`) in the Rerun viewer.
+    """Open one or several runs, a diagnosis, or a scenario as it goes on (`--live`) in the Rerun viewer.
 
     The viewer listens on 127.0.0.1 only and sends no usage data. `--live` runs until its viewer is closed, or Ctrl-C.
     """
@@ -85,22 +85,18 @@ def command(
 
 
 def _show_live(name: str, changes: list[str] | None, seed: int | None, speed: float, web: bool, as_json: bool) -> Any:
-    from ..scenarios.live import LiveRun
+    from ..scenarios.run import run_scenario
     from ..scenarios.scenario import load_scenario
     from ._console import console
     from ._live import free_port, show_live
 
-    live = LiveRun(*load_scenario(name, changes, seed))
-    port = free_port()
-    run = show_live(live, viewer_command(None, web, port), viewer_environment(), port, speed)
+    run, port = run_scenario(*load_scenario(name, changes, seed), os.cpu_count() or 1), free_port()
+    show_live(run, viewer_command(None, web, port), viewer_environment(), port, speed)
     if as_json:
-        return {live.scenario.name: {"folder": None, **run.metrics} if run is not None else None}
-    terminal = console()
-    if run is None:
-        terminal.print(f"{live.scenario.name}: the viewer was closed before the end")
-        return
+        return {run.name: {"folder": None, **run.metrics}}
     from ..views.tables import comparison_table
 
+    terminal = console()
     terminal.print(comparison_table({run.name: run.metrics}))
     for note in run.notes:
         terminal.print(f"{run.name}: {note}", style="yellow")

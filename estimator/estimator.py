@@ -245,6 +245,11 @@ class Posterior:
                     f"estimator {self.estimator!r}: {name}: expected shape {np.shape(self.time)}, got {np.shape(found)}"
                 )
 
+    def part(self, samples: slice) -> Posterior:
+        """Return the estimate at some of the samples."""
+        arrays = {f.name: x[samples] for f in fields(self) if isinstance(x := getattr(self, f.name), np.ndarray)}
+        return replace(self, **arrays, columns={name: x[samples] for name, x in self.columns.items()})
+
     def _repr_html_(self) -> str:
         rows = [("joint torque", "N·m", float(np.min(self.mean)), float(np.max(self.mean)))]
         if self.external is not None:
@@ -479,33 +484,17 @@ def part_samples(signals: Signals, joint: KnownJoint, part: slice, reads_command
     time = signals.time
     # The command in force, and the interval, begin at the sample before.
     before = slice(max(part.start - 1, 0), part.stop)
-    found = blank_samples(time[before], joint if joint.start is not None else replace(joint, start=float(time[0])))
-    columns = {name: values[before] for name, values in signals.columns.items()}
-    fill_samples(found, columns, slice(0, len(found)), reads_command)
+    found = np.full(len(time[before]), np.nan, SAMPLE)
+    found["time"] = time[before] - (time[0] if joint.start is None else joint.start)
+    found["interval"] = np.diff(time[before], prepend=time[before.start])
+    for name in (*SENSED, "arm_torque"):
+        if name in signals and name != "joint_torque":
+            found[name] = signals[name][before]
+    if reads_command and "current_command" in signals:
+        found["current_command"] = np.r_[0.0, signals["current_command"][before][:-1]]
     found = found[part.start - before.start :]
     found.flags.writeable = False
     return found
-
-
-def blank_samples(time: np.ndarray, joint: KnownJoint) -> np.ndarray:
-    """Return records of `SAMPLE` at times [s], shape (n,), without readings."""
-    found = np.full(len(time), np.nan, SAMPLE)
-    found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
-    return found
-
-
-def fill_samples(
-    samples: np.ndarray, columns: Mapping[str, np.ndarray], part: slice, reads_command: bool = False
-) -> None:
-    """Put a part of channels, shape (n,) each, into records of `SAMPLE`, as in `as_samples`."""
-    for name in SENSED:
-        if name in columns and name != "joint_torque":
-            samples[name][part] = columns[name][part]
-    if "arm_torque" in columns:
-        samples["arm_torque"][part] = columns["arm_torque"][part]
-    if reads_command and "current_command" in columns and part.stop > part.start:
-        command = columns["current_command"][max(part.start - 1, 0) : part.stop - 1]
-        samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]
 
 
 def go_on(arrays: Arrays, samples: np.ndarray, history: np.ndarray) -> tuple[int, int]:

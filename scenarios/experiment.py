@@ -194,17 +194,12 @@ def with_known_payloads(simulation: Simulation, scenario: Scenario, link: Mounti
 def signals_of(simulation: Simulation) -> Signals:
     """Return the signals that an estimator may read: sensors before the drive acts, and the current command if it is known; at
     their time stamps."""
-    return Signals(simulation.time if simulation.stamps is None else simulation.stamps, readable(simulation))
-
-
-def readable(simulation: Simulation) -> dict[str, np.ndarray]:
-    """Return the channels of `signals_of`, shape (n,) each, as views of the simulation's arrays."""
     columns = {name: simulation.readings[name] for name in _SEEN} | dict(simulation.further)
     if simulation.commanded:
         columns["current_command"] = simulation.command
     if simulation.carried is not None:
         columns["arm_torque"] = simulation.carried
-    return columns
+    return Signals(simulation.time if simulation.stamps is None else simulation.stamps, columns)
 
 
 def estimate(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -98,6 +98,17 @@ class Run:
     def time(self) -> np.ndarray:
         """Control ticks [s], shape (n,)."""
         return self.simulation.time
+
+    def part(self, ticks: slice) -> Run:
+        """Return two or more successive control ticks of the run, as a run that begins later."""
+        s = self.simulation
+        arrays = {f.name: x[ticks] for f in fields(s) if isinstance(x := getattr(s, f.name), np.ndarray)}
+        simulation = replace(s, **arrays, further={name: x[ticks] for name, x in s.further.items()})
+        estimates = {name: one.part(ticks) for name, one in self.estimates.items()}
+        return replace(
+            self, simulation=simulation, estimates=estimates, command=self.command[ticks],
+            external_torque=self.external_torque[ticks], raw=self.model_torque[ticks],
+        )  # fmt: skip
 
     @cached_property
     def signals(self) -> Signals:

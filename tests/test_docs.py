@@ -322,11 +322,11 @@ def place(tmp_path_factory, shared):
 def looked_at(words: list[str]) -> None:
     """Check that `view` finds its file, and that a live run starts."""
     from flexspline.commands.view import find_recording
-    from flexspline.scenarios.live import LiveRun
+    from flexspline.scenarios.experiment import Experiment
 
     if "--live" in words:
         changes = [words[i + 1] for i, word in enumerate(words) if word == "--set"]
-        assert LiveRun(*load_scenario(words[words.index("--live") + 1], changes)).advance(0.02).estimates
+        assert Experiment.of(*load_scenario(words[words.index("--live") + 1], changes)).closed_loop().advance(20)
     else:
         assert all(find_recording(Path(word)).is_file() for word in words)
 

@@ -15,7 +15,6 @@ from flexspline.models.parameters import GRAVITY
 from flexspline.models.payload import CarriedMass, carrying
 from flexspline.models.recording import read_recording, write_recording
 from flexspline.scenarios.experiment import Experiment
-from flexspline.scenarios.live import LiveRun
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.run_folder import load_run, save_run
 from flexspline.scenarios.scenario import Scenario
@@ -137,11 +136,6 @@ def test_a_wrong_payload_is_one_line(changes, message):
     with pytest.raises(InputError, match=message) as error:
         scenario(**changes)
     assert "\n" not in str(error.value)
-
-
-def test_known_payloads_are_not_for_a_live_run():
-    with pytest.raises(InputError, match="known_payloads: expected false while it runs"):
-        LiveRun(scenario())
 
 
 def test_a_payload_after_the_end_is_noted():

@@ -17,11 +17,9 @@ from rerun.chunk import RrdReader
 from test_view import listening
 
 from flexspline.commands._live import play
-from flexspline.models.errors import InputError
-from flexspline.scenarios.live import LiveRun
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.views.rerun import LiveRecording, write_rerun
+from flexspline.views.rerun import RunRecording, write_rerun
 
 CHANGES = [
     "duration=3",
@@ -53,28 +51,26 @@ def columns(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def test_what_is_streamed_is_what_a_run_writes(tmp_path, rng):
-    """Every stretch to the bit, for any length; entities and values as in the run's recording."""
+    """Stretches of any length; entities and values as in the run's recording."""
     scenario, folder = load_scenario("external_push", CHANGES, 7)
-    live = LiveRun(scenario, folder)
-    assert "rts_smoother" not in live.names and "augmented" in live.names
+    run = run_scenario(scenario, folder)
     stream = rr.RecordingStream("test")
     written = stream.binary_stream()
-    shown, parts = LiveRecording(stream, live.start), []
-    while not live.over:
-        parts.append(live.advance(float(rng.uniform(0.001, 0.2))))
-        shown.send(parts[-1])
-    run, whole = live.finish(), run_scenario(scenario, folder)
-    shown.finish(run)
+    shown, done, n = RunRecording(stream, run, live=True), 0, len(run.time)
+    while done < n:
+        end = min(done + int(rng.integers(2, 200)), n)
+        end = n if n - end == 1 else end
+        part = run.part(slice(done, end))
+        for name in ("model_torque", "kinematic_error", "external_torque", "position_command", "command_error"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(run, name)[done:end])
+        np.testing.assert_array_equal(part.estimate("RAREKF"), run.estimate("RAREKF")[done:end])
+        np.testing.assert_array_equal(part.signals["motor_current"], run.signals["motor_current"][done:end])
+        shown.send(slice(done, end))
+        done = end
+    shown.finish()
     (tmp_path / "live.rrd").write_bytes(written.read() or b"")
-    np.testing.assert_array_equal(run.simulation.truth, whole.simulation.truth)
-    np.testing.assert_array_equal(run.simulation.readings, whole.simulation.readings)
-    assert run.metrics == whole.metrics
-    for name in live.names:
-        np.testing.assert_array_equal(np.concatenate([part.estimate(name) for part in parts]), whole.estimate(name))
-    for name in ("model_torque", "kinematic_error", "external_torque", "position_command"):
-        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name))
 
-    streamed, recorded = columns(tmp_path / "live.rrd"), columns(write_rerun(whole, tmp_path / "run.rrd"))
+    streamed, recorded = columns(tmp_path / "live.rrd"), columns(write_rerun(run, tmp_path / "run.rrd"))
     assert streamed.keys() == recorded.keys()
     assert "/error/rts_smoother" in streamed and "/mode/RAREKF" in streamed and "/mode/EKF" not in streamed
     for path, (times, values) in recorded.items():
@@ -91,32 +87,16 @@ def test_what_is_streamed_is_what_a_run_writes(tmp_path, rng):
     assert scene <= set(RrdReader(tmp_path / "live.rrd").store().schema().entity_paths())
 
 
-@pytest.mark.slow
-def test_a_slow_view_of_a_long_scenario_has_short_stretches():
-    """At half the speed a stretch is 20 ms, of which a panel has room for less than a point."""
-    live = LiveRun(*load_scenario("external_push", ["transient=0.2", "filters=[RAREKF]", "duration=300"]))
+def test_it_keeps_pace():
+    """At twice the speed 1 s of a scenario takes half a second, not less, in stretches that grow with the delay."""
+    run = run_scenario(*load_scenario("no_load", ["duration=1", "transient=0.2", "filters=[RAREKF]"]))
     stream = rr.RecordingStream("test")
     written = stream.binary_stream()
-    shown = LiveRecording(stream, live.start)
-    while live.done < 5.0:
-        shown.send(live.advance(0.02))
-    assert written.read()
-
-
-def test_it_keeps_pace(tmp_path):
-    """At twice the speed 1 s of a scenario takes half a second, not less."""
-    live = LiveRun(*load_scenario("no_load", ["duration=1", "transient=0.2", "filters=[RAREKF]"]))
-    stream = rr.RecordingStream("test")
-    written = stream.binary_stream()
+    shown = RunRecording(stream, run, live=True)
     begin = time.monotonic()
-    run = play(live, LiveRecording(stream, live.start), 2.0)
-    assert run is not None and 0.5 <= time.monotonic() - begin
+    assert play(shown, 2.0)
+    assert 0.45 <= time.monotonic() - begin
     assert written.read()
-
-
-def test_only_what_runs_along_can_be_live():
-    with pytest.raises(InputError, match="filters: expected a causal one, got \\['rts_smoother'\\]"):
-        LiveRun(*load_scenario("no_load", ["duration=1", "transient=0.2", "filters=[rts_smoother]"]))
 
 
 @pytest.mark.parametrize(
@@ -172,12 +152,12 @@ def test_measures_in_the_end_as_json(flexspline, monkeypatch):
 
     sent = {}
 
-    def shown(live, words, environment, port, speed):
+    def shown(run, words, environment, port, speed):
         assert environment["CI"] == "1" and "127.0.0.1" in words and str(port) in words
         sent["speed"] = speed
         stream = rr.RecordingStream("test")
         stream.binary_stream()
-        return play(live, LiveRecording(stream, live.start), 1000.0)
+        assert play(RunRecording(stream, run, live=True), 1000.0)
 
     monkeypatch.setattr(_live, "show_live", shown)
     monkeypatch.setenv("DISPLAY", ":0")

@@ -6,8 +6,7 @@ so that a recording opens laid out. Entities of a run: `scene/…` the 3D joint,
 """
 
 from .diagnosis import write_rerun_report
-from .live import LiveRecording
 from .overlay import write_rerun_overlay
-from .run import write_rerun
+from .run import RunRecording, write_rerun
 
-__all__ = ["LiveRecording", "write_rerun", "write_rerun_overlay", "write_rerun_report"]
+__all__ = ["RunRecording", "write_rerun", "write_rerun_overlay", "write_rerun_report"]

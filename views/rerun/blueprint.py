@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,20 +15,11 @@ if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 
-def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
-    """Return the layout of a run; `reach`: of the link [m], for the camera."""
-    names = list(run.estimates)
-    limits = _error_limits(run, main_filter(names))
-    pushed = bool(np.any(run.external_torque))
-    return layout(run_panels(names, tuple(innovations(run)), pushed, reach, limits), float(run.time[-1]))
-
-
-def run_panels(
-    names: Sequence[str], stated: Collection[str], pushed: bool, reach: float, limits: tuple[float, float] | None = None
-) -> rrb.Container:
-    """Return the panels of a run. `stated`: filters with innovations; `pushed`: whether there is an external torque;
-    `reach`: of the link [m]; `limits`: of the panel of errors [N·m], by default theirs."""
+def run_blueprint(run: Run, reach: float = 0.4, live: bool = False) -> rrb.Blueprint:
+    """Return the layout of a run; `reach`: of the link [m], for the camera; `live`: the cursor follows the data."""
+    names, stated, pushed = list(run.estimates), tuple(innovations(run)), bool(np.any(run.external_torque))
     main = main_filter(names)
+    limits = _error_limits(run, main)
     joint = joint_view("Joint: torque true (green), estimated, external (pink)", "scene", reach)
     # All panels have the same colours: one legend is enough.
     innovation_views = [
@@ -54,7 +44,7 @@ def run_panels(
         series_view(f"Robust mode [% of {SHARE_WINDOW:g} s]", "robust_share", legend=False, limits=(-5, 105)),
         rrb.StateTimelineView(name="Mode", origin="mode", time_view=SHARED_TIME),
     ]
-    return rrb.Horizontal(
+    panels = rrb.Horizontal(
         rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
         rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
         rrb.Vertical(
@@ -62,6 +52,7 @@ def run_panels(
         ),
         column_shares=[1.05, 1.4, 1.25],
     )
+    return layout(panels, float(run.time[-1]), live)
 
 
 def joint_view(name: str, origin: str, reach: float) -> rrb.Spatial3DView:

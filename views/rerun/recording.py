@@ -32,7 +32,7 @@ def is_new(stream: rr.RecordingStream, path: str, looks: Hashable = None) -> boo
 
 
 @contextmanager
-def recording(path: Path, name: str, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
+def recording(path: Path, name: str, blueprint: rrb.Blueprint | None = None) -> Iterator[rr.RecordingStream]:
     """Open a recording named `name`, which is moved to `path` (`.rrd`) at the end of the block, or removed after an
     error. Raises `InputError`: the file cannot be written."""
     with write_into_place(Path(path)) as temporary:
@@ -40,7 +40,8 @@ def recording(path: Path, name: str, blueprint: rrb.Blueprint) -> Iterator[rr.Re
         stream = rr.RecordingStream(f"flexspline {name}")
         # Rerun's own writer never returns on a full disk. A recording has only a few megabytes.
         written = rr.binary_stream(stream)
-        stream.send_blueprint(blueprint)
+        if blueprint is not None:
+            stream.send_blueprint(blueprint)
         stream.send_recording_name(name)
         yield stream
         temporary.write_bytes(written.read() or b"")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,17 +28,47 @@ MODE_WINDOW = 0.02  # window [s] of the mode lanes: robust if the filter is in r
 
 def write_rerun(run: Run, path: Path) -> Path:
     """Write a run as a Rerun recording (`.rrd`); return the path. Raises `InputError`: the file cannot be written."""
-    model = shape(run.joint)
-    colors = filter_colors(run.estimates)
-    with recording(path, run.name, run_blueprint(run, reach(model))) as stream:
-        send_run(stream, run, model, colors, bool(np.any(run.external_torque)))
-        for name in switching(run):
-            robust = modes(run, name)
-            send_share(stream, name, run.time, share_of(robust, run.time), colors[name])
-            start, robust = windows(run.time, robust, window_samples(MODE_WINDOW, run.time))
-            send_mode(stream, name, start, robust, colors[name])
-        send_notes(stream, notes(run))
+    with recording(path, run.name) as stream:
+        shown = RunRecording(stream, run)
+        shown.send(slice(0, len(run.time)))
+        shown.finish()
     return Path(path)
+
+
+class RunRecording:
+    """Sends a run to a file or a viewer, as a whole or stretch by stretch."""
+
+    def __init__(self, stream: rr.RecordingStream, run: Run, live: bool = False):
+        """Send the scenario, and the layout; `live`: whose cursor follows the data."""
+        self.run, self._stream, self._model = run, stream, shape(run.joint)
+        self._colors = filter_colors(run.estimates)
+        self._pushed = bool(np.any(run.external_torque))
+        self._visible = set(run.estimates) - always_robust(run)
+        self._shares = {name: share_of(modes(run, name), run.time) for name in switching(run)}
+        samples = window_samples(MODE_WINDOW, run.time)
+        self._windows = {name: windows(run.time, modes(run, name), samples) for name in self._shares}
+        stream.send_blueprint(run_blueprint(run, reach(self._model), live))
+        stream.send_recording_name(run.name)
+        send_notes(stream, asked(run))
+
+    def send(self, ticks: slice) -> None:
+        """Send the next ticks, two at least."""
+        part = self.run.part(ticks)
+        points = max(round(POINTS * len(part.time) / len(self.run.time)), 2)
+        send_run(self._stream, part, self._model, self._colors, self._pushed, points, self._visible)
+        for name, percent in self._shares.items():
+            color, (start, robust) = self._colors[name], self._windows[name]
+            send_series(
+                self._stream, f"robust_share/{name}", part.time, percent[ticks], name, color, points=max(points // 4, 2)
+            )
+            first, end = np.searchsorted(start, [part.time[0], part.time[-1] + 1e-9])
+            send_mode(
+                self._stream, name, start[first:end], robust[first:end], color, robust[first - 1] if first else None
+            )
+
+    def finish(self) -> None:
+        """Send the results."""
+        send_notes(self._stream, notes(self.run))
 
 
 def send_run(
@@ -47,15 +77,15 @@ def send_run(
     model: mujoco.MjModel,
     colors: Mapping[str, str],
     pushed: bool,
-    points: int = POINTS,
-    visible: Collection[str] | None = None,
+    points: int,
+    visible: Collection[str],
 ) -> None:
     """Send a run or a stretch of it: scene, torques, innovations, torsion, motion. `model`: the joint's shape;
-    `colors`: of the filters, by name; `pushed`: whether there is an external torque; `visible`: of `send_estimates`."""
+    `colors`: of the filters, by name; `pushed`: whether there is an external torque; `visible`: of `_send_estimates`."""
     near = _interesting(run)
     send_scene(stream, run, model, colors, pushed)
     _send_torques(stream, run, near, points)
-    send_estimates(stream, run, colors, points, visible)
+    _send_estimates(stream, run, colors, points, visible)
     _send_torsion(stream, run, near, points)
     _send_motion(stream, run, points)
 
@@ -81,17 +111,16 @@ def _send_torques(stream: rr.RecordingStream, run: Run, near: np.ndarray, points
     send("external_torque", run.external_torque, "external torque on the link", EXTERNAL)
 
 
-def send_estimates(
-    stream: rr.RecordingStream, run: Run, colors: Mapping[str, str], points: int, visible: Collection[str] | None = None
+def _send_estimates(
+    stream: rr.RecordingStream, run: Run, colors: Mapping[str, str], points: int, visible: Collection[str]
 ) -> None:
     """Send the estimates of the filters in `colors`, their errors and innovations; `visible`: filters that are shown at
-    first, by default those that are not always robust."""
+    first."""
     near, truth = _interesting(run), run.truth("joint_torque")
     found = innovations(run)
     for name, color in colors.items():
         values = run.estimate(name)
-        # Series are drawn in the order of their paths: a filter that is always robust would hide the paper's three.
-        shown = name not in always_robust(run, colors) if visible is None else name in visible
+        shown = name in visible
         send_series(stream, f"torque/{name}", run.time, values, name, color, 2.5, near, points, shown)
         send_series(stream, f"error/{name}", run.time, values - truth, name, color, 1.5, near, points, shown)
         if name in found:
@@ -104,21 +133,15 @@ def send_estimates(
                 send_series(stream, f"{place}/{part}", run.time, limit, label, SENSOR, 1.5, near, points)
 
 
-def always_robust(run: Run, names: Iterable[str], first: int = 1) -> set[str]:
-    """Return the filters that are always in robust mode, from a sample on."""
-    return {name for name in names if (robust := run.estimates[name].robust) is not None and robust[first:].all()}
+def always_robust(run: Run) -> set[str]:
+    """Return the filters that are always in robust mode from the second sample on. Series are drawn in the order of
+    their paths: such a filter would hide the paper's three."""
+    return {name for name, one in run.estimates.items() if one.robust is not None and one.robust[1:].all()}
 
 
 def share_of(robust: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return the moving share of robust mode [%], shape (n,)."""
     return 100 * share(robust, window_samples(SHARE_WINDOW, time))
-
-
-def send_share(
-    stream: rr.RecordingStream, name: str, time: np.ndarray, percent: np.ndarray, color: str, points: int = POINTS
-) -> None:
-    """Send a filter's share of robust mode [%], shape (n,)."""
-    send_series(stream, f"robust_share/{name}", time, percent, name, color, points=points // 4)
 
 
 def window_samples(window: float, time: np.ndarray) -> int:
