@@ -247,7 +247,9 @@ class Posterior:
 
     def part(self, samples: slice) -> Posterior:
         """Return the estimate at some of the samples."""
-        arrays = {f.name: x[samples] for f in fields(self) if isinstance(x := getattr(self, f.name), np.ndarray)}
+        arrays: dict[str, Any] = {
+            f.name: x[samples] for f in fields(self) if isinstance(x := getattr(self, f.name), np.ndarray)
+        }
         return replace(self, **arrays, columns={name: x[samples] for name, x in self.columns.items()})
 
     def _repr_html_(self) -> str:
@@ -378,23 +380,17 @@ class CausalEstimator(Estimator):
         before = np.zeros(len(self.outputs))
         for part, samples in sample_blocks(signals, self.needs, joint, self.reads_command):
             out = np.zeros((len(samples), len(self.outputs)))
-            self.advance(arrays, samples, out, part.start, signals.time[part], before)
+            failed, status = go_on(arrays, samples, out)
+            if failed < len(samples):
+                reason = self.reason(status, out[failed - 1] if failed else before)
+                at = part.start + failed
+                raise FilterDiverged(self.name, at, float(signals.time[at]), reason)
             watch.add(signals.time[part], out)
             for i, name in enumerate(self.outputs):
                 if name in column:
                     column[name][part] = out[:, i]
             before = out[-1]
         return replace(self.posterior(signals.time, column), untrusted=watch.reason)
-
-    def advance(
-        self, arrays: Arrays, samples: np.ndarray, out: np.ndarray, first: int, time: np.ndarray, before: np.ndarray
-    ) -> None:
-        """Run the step over samples with the number `first` and at times [s]; `before`: the outputs before them. Raises
-        `FilterDiverged`: an estimate that is not finite."""
-        failed, status = go_on(arrays, samples, out)
-        if failed < len(samples):
-            reason = self.reason(status, out[failed - 1] if failed else before)
-            raise FilterDiverged(self.name, first + failed, float(time[failed]), reason)
 
     def posterior(self, time: np.ndarray, column: Mapping[str, np.ndarray]) -> Posterior:
         """Return outputs by name, shape (n,) each, as a posterior."""

@@ -102,7 +102,9 @@ class Run:
     def part(self, ticks: slice) -> Run:
         """Return two or more successive control ticks of the run, as a run that begins later."""
         s = self.simulation
-        arrays = {f.name: x[ticks] for f in fields(s) if isinstance(x := getattr(s, f.name), np.ndarray)}
+        arrays: dict[str, Any] = {
+            f.name: x[ticks] for f in fields(s) if isinstance(x := getattr(s, f.name), np.ndarray)
+        }
         simulation = replace(s, **arrays, further={name: x[ticks] for name, x in s.further.items()})
         estimates = {name: one.part(ticks) for name, one in self.estimates.items()}
         return replace(
