@@ -12,12 +12,15 @@ from ._measurement import load_measurement
 from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from rich.table import Table
 
+    from ..diagnosis.data.changes import Mistake
+    from ..estimator.offline import Estimates
     from ..estimator.scoring import Score
+    from ..models.joint import Joint
     from ..models.recording import Measurement, Recording
 
 EXAMPLES = (
@@ -53,7 +56,7 @@ def command(
     from ..diagnosis.regression import contradictions, regressions
     from ..estimator import registry
     from ..estimator.offline import beyond_range, estimate_recording, lacking, write_estimates
-    from ..estimator.scoring import no_estimates, score
+    from ..estimator.scoring import no_estimates
     from ..models.files import plain, write_json
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
@@ -79,7 +82,7 @@ def command(
         for name, why in lacking(recording, filter_ or ()).items():
             raise _missing(recording, name, why)
     report: dict[str, dict[str, Any]] = {}
-    lines: dict[str, list[tuple[Any, str]]] = {}
+    lines: list[tuple[Any, str]] = []
     bands = described.uncertainty is not None
     with output_folder(out, maker) as folder:
         for recording in data.recordings:
@@ -90,11 +93,7 @@ def command(
                 if name in found.left_out:
                     raise _missing(recording, name, found.left_out[name])
             path = out / write_estimates(found, folder).name
-            wrong = {m.column: m.description for m in unread if m.recording in ("", recording.name)}
-            for column, what in wrong.items():
-                text = f"{recording.name}: {column}: {what}: nothing is scored against it"
-                warnings.warn(text, InputWarning, stacklevel=2)
-            scores = {k: v for k, v in score(recording, found, described).items() if k not in wrong}
+            scores = _scored(recording, found, described, unread)
             poor = no_estimates(recording, found, described, scores)
             one = report[recording.name] = {
                 "joint": described.name,
@@ -107,18 +106,15 @@ def command(
                 | ({"external_torque": sorted(found.external_torque)} if wrong_load else {}),
                 **plain(scores),
             }
-            if not as_json:
-                lines[recording.name] = [(f"{path}", "")]
-                if scores:
-                    lines[recording.name].append((_table(recording, scores, found.untrusted), ""))
-                lines[recording.name] += [(f"{recording.name}: {text}", style) for text, style in _remarks(poor, one)]
+            table = [(_table(recording, scores, found.untrusted), "")] if scores and not as_json else []
+            remarks = [(f"{recording.name}: {text}", style) for text, style in _remarks(poor, one)]
+            lines += [(f"{path}", ""), *table, *remarks]
         write_json(folder / "metrics.json", report)
     if as_json:
         return report
     terminal = console()
-    for several in lines.values():
-        for line, style in several:
-            terminal.print(line, style=style)
+    for line, style in lines:
+        terminal.print(line, style=style)
     terminal.print(f"{out / 'metrics.json'}")
 
 
@@ -137,6 +133,19 @@ def _check_samples(path: Path, data: Measurement) -> None:
         if all(recording.sparse for recording in data.recordings):
             got = f"{len(one.gaps)} gaps of more than {one.gap:.2g} s among {len(one.time)} samples"
         raise InputError(f"{path}: expected a part without gaps of {SHORTEST} samples at least, got {got}")
+
+
+def _scored(
+    recording: Recording, found: Estimates, joint: Joint, unread: Sequence[Mistake]
+) -> dict[str, dict[str, Score]]:
+    """Compare estimates with the recording's columns, but for those with a mistake, which a warning states."""
+    from ..estimator.scoring import score
+
+    wrong = {m.column: m.description for m in unread if m.recording in ("", recording.name)}
+    for column, what in wrong.items():
+        text = f"{recording.name}: {column}: {what}: nothing is scored against it"
+        warnings.warn(text, InputWarning, stacklevel=3)
+    return {k: v for k, v in score(recording, found, joint).items() if k not in wrong}
 
 
 def _missing(recording: Recording, name: str, why: str) -> InputError:

@@ -228,23 +228,7 @@ class Scenario(Strict):
         substeps = CONTROL_PERIOD / self.timestep
         if abs(substeps - round(substeps)) > 1e-6:
             raise ValueError(f"timestep: expected a whole fraction of {CONTROL_PERIOD:g} s, got {self.timestep:g} s")
-        times = [w.time for w in self.trajectory]
-        for i, (a, b) in enumerate(itertools.pairwise(times)):
-            if b <= a:
-                raise ValueError(f"trajectory.{i + 1}.time: expected a time after {a:g} s, got {b:g} s")
-        for i, way in enumerate(self.trajectory):
-            if way.mode != self.mode:
-                raise ValueError(f"trajectory.{i}: expected a {self.mode}, as in the first waypoint, got a {way.mode}")
-        for i, motion in enumerate(self.motions):
-            fastest, limit = max(motion.frequency or 0.0, motion.end_frequency or 0.0), 0.5 / CONTROL_PERIOD
-            if fastest > limit:
-                raise ValueError(
-                    f"motions.{i}: expected at most {limit:g} Hz, half the controller's rate, got {fastest:g} Hz"
-                )
-            if motion.start >= self.duration:
-                raise ValueError(
-                    f"motions.{i}.start: expected a time before the end at {self.duration:g} s, got {motion.start:g} s"
-                )
+        self._check_motion()
         if self.start is not None and self.mode == "position":
             raise ValueError("start: expected none in position control, which starts at its first waypoint")
         self._check_filters()
@@ -265,6 +249,25 @@ class Scenario(Strict):
             )
         return self
 
+    def _check_motion(self) -> None:
+        times = [w.time for w in self.trajectory]
+        for i, (a, b) in enumerate(itertools.pairwise(times)):
+            if b <= a:
+                raise ValueError(f"trajectory.{i + 1}.time: expected a time after {a:g} s, got {b:g} s")
+        for i, way in enumerate(self.trajectory):
+            if way.mode != self.mode:
+                raise ValueError(f"trajectory.{i}: expected a {self.mode}, as in the first waypoint, got a {way.mode}")
+        for i, motion in enumerate(self.motions):
+            fastest, limit = max(motion.frequency or 0.0, motion.end_frequency or 0.0), 0.5 / CONTROL_PERIOD
+            if fastest > limit:
+                raise ValueError(
+                    f"motions.{i}: expected at most {limit:g} Hz, half the controller's rate, got {fastest:g} Hz"
+                )
+            if motion.start >= self.duration:
+                raise ValueError(
+                    f"motions.{i}.start: expected a time before the end at {self.duration:g} s, got {motion.start:g} s"
+                )
+
     def _check_filters(self) -> None:
         names = [f.name for f in self.filters]
         for i, name in enumerate(names):
@@ -277,7 +280,6 @@ class Scenario(Strict):
             raise ValueError(
                 f"feedback: expected a filter that can run in the loop, got {self.feedback!r}, which looks ahead"
             )
-
         if self.payloads and self.known_payloads and self.feedback in names:
             raise ValueError(
                 f"known_payloads: expected false, as the filter that is fed back, {self.feedback}, does not know them in the loop"
