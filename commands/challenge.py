@@ -109,7 +109,7 @@ def command(
     single_threaded()
     from ..diagnosis.trials import score
     from ..diagnosis.trials.draw import Challenge
-    from ._console import console, progress
+    from ._console import console
 
     given = list(dict.fromkeys(hidden or ()))
     kinds: list[Kind] = [h.value for h in given] if given else ["one"] if cause else list(_KINDS)
@@ -124,13 +124,7 @@ def command(
         _record(measurement, asked[0])
         console().print(f"{measurement}", highlight=False)
         return
-    outcomes: list[Outcome] = []
-    with progress(counting=True, remaining=True) as bar:
-        task = bar.add_task("diagnosing draws", total=draws * len(scanned) * len(asked))
-        for outcome in score.run(asked, draws, scanned, jobs or os.cpu_count() or 1):
-            outcomes.append(outcome)
-            right = sum(o.first_right for o in outcomes)
-            bar.update(task, advance=1, description=f"diagnosing draws, {right} of {len(outcomes)} right")
+    outcomes = _outcomes(asked, draws, scanned, jobs or os.cpu_count() or 1)
     outcomes.sort(key=lambda o: (kinds.index(o.kind), o.index, -o.size))
     if out is not None:
         _write(out, outcomes)
@@ -143,6 +137,21 @@ def command(
     _show(terminal, how, outcomes, scanned)
     if out is not None:
         terminal.print(f"{out}")
+
+
+def _outcomes(asked: list[Challenge], draws: int, scanned: tuple[float, ...], jobs: int) -> list[Outcome]:
+    """Diagnose draws of every challenge at every size, with a progress bar."""
+    from ..diagnosis.trials import score
+    from ._console import progress
+
+    outcomes: list[Outcome] = []
+    with progress(counting=True, remaining=True) as bar:
+        task = bar.add_task("diagnosing draws", total=draws * len(scanned) * len(asked))
+        for outcome in score.run(asked, draws, scanned, jobs):
+            outcomes.append(outcome)
+            right = sum(o.first_right for o in outcomes)
+            bar.update(task, advance=1, description=f"diagnosing draws, {right} of {len(outcomes)} right")
+    return outcomes
 
 
 def _record(path: Path, challenge: Challenge) -> None:

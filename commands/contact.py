@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ._listing import AsJson
 from ._options import Changes, Jobs, shipped, with_plugins
+
+if TYPE_CHECKING:
+    from ..scenarios.evaluation.contact import ContactStudy
 
 EXAMPLES = (
     "flexspline contact --hours 0.2 --filter RAREKF --filter augmented",
@@ -35,7 +38,6 @@ def command(
         list[str] | None,
         typer.Option(
             "--filter",
-            "--filter",
             help="An estimator by its name; repeatable. By default augmented, momentum, momentum_torsion, current, RAREKF, "
             "AREKF, EKF, model.",
         ),
@@ -56,8 +58,7 @@ def command(
     with drawn pushes. Every run has another joint within tolerance, another motion and other noise.
     """
     from ..models import plugins
-    from ..models.files import write_json, write_rows
-    from ..models.output import check_output, output_folder
+    from ..models.output import check_output
     from ..scenarios.evaluation import contact
     from ..scenarios.filters import estimators
     from ..scenarios.scenario import load_scenario
@@ -87,13 +88,7 @@ def command(
     words = [scenario, *(word for o, values in given.items() for v in values for word in (o, str(v)))]
     answer = {"format": 1, "arguments": words} | found.to_json()
     if out is not None:
-        from ..views.limit_figures import save_figure
-
-        with output_folder(out, "contact") as new:
-            write_json(new / "contact.json", answer)
-            write_rows(new / "contact.csv", list(found.curves))
-            (new / "contact.md").write_text(contact_views.contact_markdown(answer), encoding="utf-8")
-            save_figure(contact_views.contact_figure(found.curves, loaded.name), new / "contact.png")
+        _write(out, answer, found)
     if as_json:
         return answer
     for title, own in contact_views.titles(answer):
@@ -102,3 +97,16 @@ def command(
             terminal.print(reason, style="yellow")
     if out is not None:
         terminal.print(f"{out / 'contact.json'}, contact.md, contact.csv, contact.png")
+
+
+def _write(out: Path, answer: dict[str, Any], found: ContactStudy) -> None:
+    from ..models.files import write_json, write_rows
+    from ..models.output import output_folder
+    from ..views import contact_views
+    from ..views.limit_figures import save_figure
+
+    with output_folder(out, "contact") as new:
+        write_json(new / "contact.json", answer)
+        write_rows(new / "contact.csv", list(found.curves))
+        (new / "contact.md").write_text(contact_views.contact_markdown(answer), encoding="utf-8")
+        save_figure(contact_views.contact_figure(found.curves, found.scenario), new / "contact.png")

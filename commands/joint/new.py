@@ -91,13 +91,7 @@ def command(
         "gear": gear, "Kt": torque_constant, "R": resistance, "L": inductance, "Jm": rotor_inertia,
         "motor_encoder": motor_encoder, "link_encoder": link_encoder,
     }  # fmt: skip
-    read = {key: _read(key, text) for key, text in answers.items() if text is not None}
-    missing = [key for key in _ASKED if key not in read]
-    if missing and not sys.stdin.isatty():
-        options = ", ".join(_ASKED[key][0] for key in missing)
-        raise InputError(f"joint new: expected {options}, got none; at a terminal it asks for them")
-    for key in missing:
-        read[key] = typer.prompt(_ASKED[key][1], value_proc=_asking(key))
+    read = _complete(answers)
     series, size, ratio = read.pop("gear")
     encoders = {key: read.pop(key) for key in ("motor_encoder", "link_encoder")}
     numbers = read | {symbol: quantity(text, symbol, f"--set {symbol}") for symbol, text in _pairs("--set", changes)}
@@ -122,6 +116,18 @@ def command(
             "problems": check(path).problems,
         }  # fmt: skip
     _show(made, path, mjcf, catalogue)
+
+
+def _complete(answers: dict[str, str | None]) -> dict[str, Any]:
+    """Return the values of `_ASKED`; missing ones are asked for. Raises `InputError`: missing ones without a terminal."""
+    read = {key: _read(key, text) for key, text in answers.items() if text is not None}
+    missing = [key for key in _ASKED if key not in read]
+    if missing and not sys.stdin.isatty():
+        options = ", ".join(_ASKED[key][0] for key in missing)
+        raise InputError(f"joint new: expected {options}, got none; at a terminal it asks for them")
+    for key in missing:
+        read[key] = typer.prompt(_ASKED[key][1], value_proc=_asking(key))
+    return read
 
 
 def _read(key: str, text: str) -> Any:
