@@ -81,11 +81,11 @@ def autocorrelation(innovations: np.ndarray, lags: int) -> np.ndarray:
     return covariance[1:] / covariance[0] if covariance[0] > 0.0 else np.zeros(lags)
 
 
-def white_band(samples: int, level: float = LEVEL) -> float:
-    """Return the half-width of the band of ρ of white innovations with probability `level`: 1.96/√n at 95 %."""
+def white_band(samples: int) -> float:
+    """Return the half-width of the band of ρ of white innovations with probability `LEVEL`: 1.96/√n."""
     from scipy.special import ndtri
 
-    return float(ndtri(0.5 + 0.5 * level) / np.sqrt(samples))
+    return float(ndtri(0.5 + 0.5 * LEVEL) / np.sqrt(samples))
 
 
 def ljung_box(rho: np.ndarray, samples: int) -> float:

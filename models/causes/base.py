@@ -177,15 +177,6 @@ class Cause(ABC):
     """Place and variable of which it is one order (`parameters.PLACES`, `VARIABLES`): an unknown effect there has all
     of them."""
 
-    generalises: ClassVar[tuple[str, ...]] = ()
-    """Causes that are special cases of it, with parameters of the same names."""
-
-    imitated_by: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Sets of other causes that together have nearly the same effect."""
-
-    imitated_beside: ClassVar[tuple[tuple[str, str], ...]] = ()
-    """Another cause with nearly the same effect, and the cause that must be present for it."""
-
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         """Apply the effect to a parameter record, in place."""
         for name, field in self.sets.items():

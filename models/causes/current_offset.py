@@ -10,5 +10,3 @@ class CurrentOffset(Cause):
     description = "a constant is added to the current reading"
     parameters = (CauseParameter("value", "A", (-10.0, 10.0), ((-0.15, -0.05), (0.05, 0.15)), magnitude=True),)
     sets = {"value": "current_offset"}
-    # As `FrictionAsymmetry`, a constant torque on the motor's side.
-    imitated_beside = (("torque_sensor_offset", "cable_spring"),)

@@ -10,5 +10,3 @@ class FrictionAsymmetry(Cause):
     parameters = (CauseParameter("ratio", "1", (-0.95, 0.95), ((-0.45, -0.2), (0.2, 0.45)), magnitude=True),)
     sets = {"ratio": "friction_asymmetry"}
     requires = Requirements(sliding=0.5, reversal=True)
-    # One constant torque more on either side of the transmission: the link encoder's zero and a cable's rest angle answer it.
-    imitated_beside = (("torque_sensor_offset", "cable_spring"),)

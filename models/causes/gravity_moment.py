@@ -13,5 +13,4 @@ class GravityMoment(Cause):
     scales = ("Mg",)
     adds = True
     multiple = 3.0
-    imitated_by = (("torque_constant", "torque_sensor_gain"),)
     requires = Requirements(link_travel=0.5, known_push=True, gravity=True)

@@ -14,5 +14,4 @@ class TorqueConstant(Cause):
     )
     sets = {"value": "Kt"}
     multiple = 3.0
-    imitated_by = (("gravity_moment", "torque_sensor_gain"),)
     requires = Requirements(sliding=0.5)

@@ -12,4 +12,3 @@ class TorqueSensorGain(Cause):
     sets = {"gain": "torque_gain"}
     needs = ("joint_torque",)
     requires = Requirements(weighed=True)
-    imitated_by = (("gravity_moment", "torque_constant"),)

@@ -11,5 +11,3 @@ class TorqueSensorOffset(Cause):
     parameters = (CauseParameter("value", "N·m", (-100.0, 100.0), ((-0.6, -0.2), (0.2, 0.6)), magnitude=True),)
     sets = {"value": "torque_offset"}
     needs = ("joint_torque",)
-    # A constant torque that the sensor does not read: on the motor's side the same, where a cable's rest angle answers it.
-    imitated_beside = (("friction_asymmetry", "cable_spring"), ("current_offset", "cable_spring"))
