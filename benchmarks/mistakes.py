@@ -427,6 +427,20 @@ def wide(seed: int, compensated: bool = False) -> tuple[Measurement, Joint]:
     return Measurement(name, Path(), (Recording("log", stamps, chosen, joint.name, str(seed), link=mounting),)), joint
 
 
+def unseen_load(measurement: Measurement, joint: Joint, rng: np.random.Generator) -> Measurement:
+    """The measurement with a load that nothing measures, as a second joint beyond the link: three waves of 0.1 to 1 Hz, up to 1.5
+    times the drive's torque in all."""
+    (r,) = measurement.recordings
+    drive = next(n for n in ("motor_current", "motor_torque") if n in r)
+    waves = [np.sin(2 * np.pi * (rng.uniform(0.1, 1.0) * r.time + rng.random())) for _ in range(3)]
+    load = rng.uniform(0.3, 1.5) * float(np.std(r[drive])) * np.sum(waves, axis=0)
+    columns = {drive: r[drive] + load}
+    if "joint_torque" in r:
+        N, Kt = joint.numbers["N"].value, joint.numbers["Kt"].value
+        columns["joint_torque"] = r["joint_torque"] + N * (Kt if drive == "motor_current" else 1.0) * load
+    return replace(measurement, recordings=(_with(r, **columns),))
+
+
 def _column_of(*names: str) -> Callable[[Recording], str | None]:
     return lambda r: next((n for n in names if n in r), None)
 
@@ -594,13 +608,17 @@ def wide_rates(count: int, seed: int, only: str = "", every: bool = True) -> Non
     logs = [wide(seed + i) for i in range(count)]
     rng = np.random.default_rng(seed)
     if only in ("", "sound"):
-        claimed = 0
-        for measurement, joint in logs:
-            found = [m for m in find_mistakes(measurement, joint) if m.confidence > 0.5]
-            claimed += bool(found)
-            if found:
-                print(f"  claimed of {measurement.name}: {', '.join(map(_short, found))}", flush=True)
-        print(f"sound wide logs: claims in {claimed} of {count}", flush=True)
+        for said, tried in (
+            ("sound wide logs", logs),
+            ("with an unmeasured load", [(unseen_load(m, joint, rng), joint) for m, joint in logs]),
+        ):
+            claimed = 0
+            for measurement, joint in tried:
+                found = [m for m in find_mistakes(measurement, joint) if m.confidence > 0.5]
+                claimed += bool(found)
+                if found:
+                    print(f"  claimed of {measurement.name}: {', '.join(map(_short, found))}", flush=True)
+            print(f"{said}: claims in {claimed} of {count}", flush=True)
     for label, name, spoil in wide_mistakes():
         if only not in label:
             continue

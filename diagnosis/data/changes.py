@@ -396,7 +396,8 @@ class Table:
                 )
                 yield _entry("no_gravity", column, text, lost=True)
                 gravity = False
-        if gravity:  # a zero of the angle cannot explain missing gravity
+        # A zero of the angle cannot explain missing gravity, and only a weight has a direction.
+        if gravity and any(p.p["Mg"] > SETTINGS.weight * p.rated for p in self.plausible):
             yield from self._turned(there, [one for found in fits.values() for one in found])
         inertias = [c[0] for found in fits.values() for _, c in found]
         if not inertias or not self.still_arm:

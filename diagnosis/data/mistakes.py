@@ -40,6 +40,8 @@ class ClaimSettings:
     sure: float = 7.0  # gain beyond its price above which a change is accepted
     at_odds: float = 0.1  # by how much a change may worsen a misfit
     wrong: float = -0.6  # misfit of a relation below which the channels do not fit
+    less: float = 0.5  # misfit over that without changes above which suspicious channels do not fit
+    rest: float = 0.2  # residual over spread of a torque above which an unmeasured load explains it as well
     hopeless: float = -5.0  # misfit below which a relation is invalid
     lasting: float = 4.0  # least duration of a recording whose misfit counts [s]
     worse: float = -3.0  # loss in a recording below which a change is not of all recordings
@@ -50,7 +52,7 @@ class ClaimSettings:
     kept: int = 3  # states that are kept
     most: int = 3  # changes on top of each other
     least_motion: float = 0.1  # least motion of the link [rad] after a change of the angles' unit
-    rest: float = 0.5  # least share of valid samples of a recording to compare its channels
+    valid: float = 0.5  # least share of valid samples of a recording to compare its channels
 
 
 SETTINGS = ClaimSettings()
@@ -99,7 +101,7 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
         recordings = ()
     if recordings:
         # Skip recordings with few valid samples, if there are others.
-        rest = [r for r, a in zip(recordings, moving, strict=True) if len(r.time) > SETTINGS.rest * len(a.time)]
+        rest = [r for r, a in zip(recordings, moving, strict=True) if len(r.time) > SETTINGS.valid * len(a.time)]
         recordings = tuple(rest) or recordings
         further = _of_columns(recordings, joint)
     named = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))
@@ -131,26 +133,39 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     after = _worst([{n: fit for n, fit in fits.items() if n not in ignored} for fits in end.fits])
     found = [one for m, having in end.found for one in _where(m, having, recordings)]
     beyond = sum(map(_beyond, start.fits, end.fits)) > 0.5 * len(recordings)
-    another, loads = search.with_another_load() if found or any(map(_suspicious, start.fits)) else (-math.inf, [])
+    another, loads, loaded = search.with_another_load() if found or any(map(_suspicious, start.fits)) else _NO_LOAD
+    lost = {m.column for m, _ in end.found if m.name == "sign" and m.lost}
     gain = another - end.score
-    if gain > SETTINGS.beyond and loads:
-        sure = 1 / (1 + math.exp(-min(gain, 50.0) / 3))
-        found = [replace(m, confidence=sure) for m in loads]
-    elif after < SETTINGS.wrong or beyond or not mends:
-        # The best change does not make the channels fit the joint.
-        found = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in found]
-    elif gain > -SETTINGS.beyond:
-        of_load = ({m.name, m.column} & {"no_gravity", "angle_zero", GRAVITY} for m in found)
-        found = [m if kept else replace(m, confidence=_UNSURE) for m, kept in zip(found, of_load, strict=True)]
-    lost = {m.column for m in found if m.name == "sign" and m.lost}
-    if lost and lost >= {name for r in recordings for name in DRIVING if name in r}:
-        # A magnitude alone judges no other column.
-        found = [m if m.column in lost else replace(m, confidence=min(m.confidence, _UNSURE)) for m in found]
-    return [*late, *found]
+    instead = bool(loads) and gain > SETTINGS.beyond
+    # An unmeasured load changes torques alone, and fits any change that leaves much of them.
+    angles = [fits[name] for fits in start.fits for name in ("encoders", "command") if name in fits]
+    alone = not lost and not any(fit.suspicious for fit in angles)
+    unsure = alone and _rest(loaded if instead else end.fits) > SETTINGS.rest
+    if instead:
+        found = [replace(m, confidence=1 / (1 + math.exp(-min(gain, 50.0) / 3))) for m in loads]
+    else:  # the best change may not make the channels fit the joint
+        unsure |= beyond or after < max(SETTINGS.wrong, min(AGREEMENT.suspicious, SETTINGS.less * before))
+        unsure |= bool(found) and not mends
+    blind = bool(lost) and lost >= {name for r in recordings for name in DRIVING if name in r}
+
+    def doubtful(m: Mistake) -> bool:
+        if unsure or (blind and m.column not in lost):  # a magnitude alone judges no other column
+            return True
+        of_load = {m.name, m.column} & {"load", "no_gravity", "angle_zero", GRAVITY}
+        return gain > -SETTINGS.beyond and not of_load
+
+    if all("encoders" not in fits for fits in start.fits):
+        found, late = [*late, *found], []
+    return [*late, *(_unsure(m) if doubtful(m) else m for m in found)]
+
+
+def _unsure(m: Mistake) -> Mistake:
+    return replace(m, confidence=min(m.confidence, _UNSURE))
 
 
 _Fits = Sequence[dict[str, RelationFit]]
 """Relations of every recording."""
+_NO_LOAD: tuple[float, list[Mistake], _Fits] = (-math.inf, [], [])
 
 
 @dataclass(frozen=True)
@@ -219,9 +234,9 @@ class _Search:
         fits = tuple({} if m is None else p.agreement(m) for p, m in zip(self._plausible, motions, strict=True))
         self.start = _State(motions, fits)
 
-    def with_another_load(self) -> tuple[float, list[Mistake]]:
-        """Return the score without changes, if each recording has the load that fits its torque best, and the described loads
-        that are then wrong; none if the channels still disagree."""
+    def with_another_load(self) -> tuple[float, list[Mistake], _Fits]:
+        """Return the score without changes if each recording has the load that fits its torque best, the described loads that
+        are then wrong, none if the channels still disagree, and the relations."""
         found, wrong, fitting = 0.0, list[Mistake](), list[dict[str, RelationFit]]()
         for r, p, motion, fits in zip(
             self._recordings, self._plausible, self.start.motions, self.start.fits, strict=True
@@ -242,7 +257,7 @@ class _Search:
                 wrong += [Mistake("load", "link", r.name, text, 0.0, lost=True)] if text else []
             fitting.append(fits)
             found += _total(fits) - (0.0 if known else SETTINGS.beyond)
-        return found, wrong if _worst(fitting) > SETTINGS.wrong else []
+        return found, wrong if _worst(fitting) > SETTINGS.wrong else [], fitting
 
     def best(self) -> _State:
         """Return the state that no further change improves enough."""
@@ -379,6 +394,12 @@ def _worst(fits: _Fits) -> float:
     """Return the misfit of the worst relation, halved for relations of angles; 0 without relations."""
     found = [fit.misfit * (1.0 if name in DRIVING else 0.5) for relations in fits for name, fit in relations.items()]
     return min(found, default=0.0)
+
+
+def _rest(fits: _Fits) -> float:
+    """Return the residual of torques over their spread, of a recording in the middle; 0 without torques."""
+    found = [max(fit.rest for fit in torques) for one in fits if (torques := [one[n] for n in DRIVING if n in one])]
+    return float(np.median(found)) if found else 0.0
 
 
 def _total(fits: dict[str, RelationFit]) -> float:

@@ -248,7 +248,10 @@ class _Shapes:
         readings = misfit + effective * max(more - math.log(scale), 0.0)
         known = -effective * float(np.mean(np.log(sigma / least)))  # less information at rest
         vague, sharp = scale > SETTINGS.vague, readings - misfit
-        return RelationFit(readings + known, misfit / effective, readings, sharp, at_bound, vague, beta)
+        weights = 1 / sigma**2
+        spread = np.average((y - np.average(y, weights=weights)) ** 2, weights=weights)
+        rest = math.sqrt(np.average((y - A @ beta) ** 2, weights=weights) / max(spread, 1e-300))
+        return RelationFit(readings + known, misfit / effective, readings, sharp, at_bound, vague, rest, beta)
 
 
 @dataclass(frozen=True)
@@ -262,6 +265,7 @@ class RelationFit:
       sharpness: part of residuals much smaller than expected.
       at_bound: whether it needs a description that is wrong by more than a few times.
       vague: whether the residual is not much smaller than expected.
+      rest: residual over the spread of the readings.
       coefficients: of the shapes, in their order.
     """
 
@@ -276,6 +280,7 @@ class RelationFit:
     sharpness: float
     at_bound: bool
     vague: bool
+    rest: float
     coefficients: np.ndarray
 
 
@@ -423,7 +428,7 @@ class Plausibility:
         low_load = SETTINGS.load[0] * weight * low
         high_load = self._heaviest(weight) * high
         if free:
-            low_load, turned = -weight, 3 * weight
+            low_load, turned = -high_load, high_load
         shapes.add(np.sin(angle), low_load, high_load, weight, 0.5 * (weight + payload), bounding=True)
         shapes.add(np.cos(angle), -turned * high, turned * high, 0.0, turned / 2)
         cable = max(float(p["cable_stiffness"]), 0.0)

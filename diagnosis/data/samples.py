@@ -431,7 +431,9 @@ def _still(
     for begin, length in zip(begins[long].tolist(), lengths[long].tolist(), strict=True):
         part = slice(begin, begin + length)
         at_end = float(x[begin]) in ends
-        if time[part.stop - 1] - time[begin] < SETTINGS.still[0] or (at_end and (len(clipped) or _at(x[begin], limit))):
+        if time[part.stop - 1] - time[begin] < SETTINGS.still[0] or (
+            at_end and name in DRIVING and (len(clipped) or _at(x[begin], limit))
+        ):
             continue
         if _moves_meanwhile(columns, name, part, N):
             what = "clipped" if name in POSITIONS and at_end and _leaves_softly(x, part.stop) else "stuck"
@@ -496,5 +498,5 @@ def _clipped(
 
 
 def _at(value: float, limit: float) -> bool:
-    """Return whether a value is at the physical limit of a column."""
-    return abs(abs(value) / limit - 1) < 0.02
+    """Return whether an extreme torque is at its physical limit, or the zero of a magnitude without its sign."""
+    return value == 0.0 or abs(abs(value) / limit - 1) < 0.02
