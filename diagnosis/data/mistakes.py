@@ -43,9 +43,7 @@ class ClaimSettings:
     less: float = 0.5  # misfit over that without changes above which suspicious channels do not fit
     rest: float = 0.2  # residual over spread of a torque above which an unmeasured load explains it as well
     hopeless: float = -5.0  # misfit below which a relation is invalid
-    lasting: float = 4.0  # least duration of a recording whose misfit counts [s]
-    worse: float = -3.0  # loss in a recording below which a change is not of all recordings
-    much_worse: float = -9.0  # the same if the recording's channels fit with the change, or better than before
+    worse: float = -9.0  # loss in a recording below which a change is not of all recordings
     one_of_several: float = 4.0  # added price of a mistake that not all recordings have
     few: float = 3.0  # ratio of both numbers of a load to the described ones from which a torque's unit may be wrong
     beyond: float = 15.0  # price of a description that is wrong by more than a few times
@@ -117,8 +115,7 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     if _not_followed(start.fits, end.fits):
         end = start
     mends = _better(start, end)
-    lasting = [r.time[-1] - r.time[0] > SETTINGS.lasting for r in recordings]
-    before = _worst([fits for fits, there in zip(start.fits, lasting, strict=True) if there])
+    before = _worst(start.fits)
     if not mends and before > SETTINGS.wrong:
         end = start
     about = {c for m, _ in end.found for c in (m.column, *m.also)}
@@ -197,12 +194,6 @@ class _Tried:
     @property
     def gain(self) -> float:
         return self.more - self.cost
-
-    @property
-    def bears(self) -> float:
-        """The loss below which a change is not of all recordings."""
-        fits = not _suspicious(self.after) or _worst([self.after]) > _worst([self.before])
-        return SETTINGS.much_worse if fits else SETTINGS.worse
 
     @property
     def fits_only_with(self) -> bool:
@@ -310,7 +301,7 @@ class _Search:
             if (m.name, m.column) in done:
                 continue
             tried = [self._tried(m, i, state) for i in range(len(state.fits))]
-            everywhere = all(one.gain > one.bears for one in tried)
+            everywhere = all(one.gain > SETTINGS.worse for one in tried)
             least = m.price + SETTINGS.sure
             chosen = [i for i, one in enumerate(tried) if everywhere or one.gain > least]
             if chosen:  # a change also holds where channels fit only with it, even if torques shrink
