@@ -97,6 +97,7 @@ MEMORY = np.dtype(
         *((name, np.float64) for name in (
             "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
             "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held", "jitter", "last", "touched",
+            "late", "seen",
         )),
     ]
 )  # fmt: skip
@@ -106,7 +107,7 @@ joint was free of contact at the last sample; trust in time stamps, and its evid
 sample [N·m, motor side], mean square of its changes; mean interval [s], and number of intervals; delay [s] of the
 last stamp against the grid of samples; last reading of the link encoder, number of samples in which both encoders
 kept their counts; mean square time error of samples [s²], last innovation of the link encoder [rad]; duration of a
-contact [s]."""
+contact [s]; mean square time error of a sample over its interval's from the period, and the weight that it has."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "friction_error",
@@ -117,7 +118,9 @@ _FIRST_BEATS, _BEATS = 100.0, 1e4  # weight of the nominal interval, and number 
 _FOLLOW = 0.02  # share of a stamp's deviation by which the grid of samples follows it
 _STAMPS = 30.0  # prior evidence [variances of the link encoder] that time stamps are right
 _CLOCK, _SHAKES = 1e-4, 200.0  # time error of a sample [s] with a weight of one; samples over which it is learned
-_TOUCH = 2.0  # time [s] after which a constant contact may be an error of the constants
+_STRANGE = 3.0  # error of the friction model [its standard deviation] beyond which the drive is not understood
+_LATENESS = 1e4  # weight of the prior that uneven intervals are right
+_TOUCH = 1.5  # time [s] after which a constant contact may be an error of the constants
 _START = 1.0  # largest initial velocity [rad/s]
 _STIFFENS = 2e-3  # time [s] in which the wave generator may stiffen by a factor e
 _TRIES = 8  # most iterations for the zero about which torsion is linearised
@@ -275,6 +278,8 @@ def _predict(m, s, found, change, h, p, c):
         stiff = p.Kw0 * math.exp(min(p.Cw * abs(x[WOUND]), c.stiffest))
         x[WOUND] += d * stiff * (x[ROTOR] - w)
         g = (1.0 + x[FRICTION]) * dynamics.sliding_friction(_state(x, found, s.time, warm), x[SPRING], p)
+        if h > 1.5 * _HELD:  # too long for a bristle that an update bent beyond sliding friction
+            x[BRISTLE] = min(max(x[BRISTLE], -g / p.s0), g / p.s0)
         sign = np.sign(w)
         slack = max(1.0 - sign * p.s0 * x[BRISTLE] / g, 0.0)
         decay = math.exp(-min(p.s0 * abs(w) / g * d, 40.0))
@@ -461,8 +466,9 @@ def _reset_constants(m, c):
 
 
 @kernel
-def _jitters(m, e, x, c):
-    """Learn the mean square time error of samples [s²] from changes of the link encoder's innovations e [rad].
+def _jitters(m, e, x, apart, c):
+    """Learn the mean square time error of samples [s²] from changes of the link encoder's innovations e [rad], and
+    its growth with the square `apart` [s²] of an interval's deviation from the period.
 
     Changes, because an unknown torque moves the link the same way for many samples.
     """
@@ -473,6 +479,12 @@ def _jitters(m, e, x, c):
     if weight > 0.0:
         m.jitter += (seen / (rate * rate) - m.jitter) * weight / (1.0 + weight) / _SHAKES
         m.jitter = max(m.jitter, 0.0)
+        square = rate * rate
+        if apart > 0.0:
+            weight = (square * apart / c.link_variance) ** 2
+            m.seen += weight
+            beyond = (min(e * e, square * apart) - c.link_variance) / square - m.jitter
+            m.late = max(m.late + (beyond / apart - m.late) * weight / (m.seen + _LATENESS), 0.0)
 
 
 @step_of(MEMORY, SETTINGS, OUT)
@@ -512,8 +524,9 @@ def _step(m, s, p, c, o):
         H[LINK] = 1.0
         e = found.link_position - x[LINK]
         # The stamp is right, or the grid.
-        shaken = (m.jitter + m.belief * (1.0 - m.belief) * off * off) * x[LINK_RATE] * x[LINK_RATE]
-        _jitters(m, e, x, c)
+        apart = (s.interval - m.period) ** 2
+        shaken = (m.jitter + m.belief * (1.0 - m.belief) * off * off + m.late * apart) * x[LINK_RATE] * x[LINK_RATE]
+        _jitters(m, e, x, apart, c)
         S = _update(m, e, c.link_variance + shaken + c.link_count * m.held, learn, c)
         _believe(m, e, off * x[LINK_RATE], c)
         m.link_ratio = c.memory * m.link_ratio + (1.0 - c.memory) * e * e / S
@@ -564,6 +577,8 @@ def _step(m, s, p, c, o):
     # More than its uncertainty, less than a contact: it may be a persistent push, or nothing.
     if m.free > 0.0 and abs(x[EXTERNAL]) > sure:
         o.variance += x[EXTERNAL] ** 2
+    # Friction far beyond its model: the drive does what the equations do not have.
+    o.variance += (p.N * max(abs(x[MESH]) - _STRANGE * c.level, 0.0)) ** 2
     o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
     o.friction_error = x[FRICTION]
     return OK if math.isfinite(o.torque + o.variance) else NOT_FINITE
