@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..estimator.conditioning import Conditioned, condition
-from ..models.calibration import CUT, Calibration
+from ..models.calibration import CUT, NARROW, Calibration
 from ..models.files import plain
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
@@ -42,6 +42,7 @@ _STEP = 2e-3  # s: of the smoother's grid
 _EDGE = 0.1  # s: at both ends of a part, where the smoother settles
 _FEWEST = 20  # samples in motion for each coefficient
 _CLUSTER = 1.0  # s: residuals that far apart count as independent
+_NOTHING = 1e-6  # share of a number that counts as zero
 _SAME = 1e-6  # share of a column that no other column explains, below which it is left out
 
 
@@ -62,9 +63,17 @@ class Coefficient:
 
     @property
     def beyond(self) -> float:
-        """Z-score of the number against the description, with tolerance and regression's deviation; 0 without a number."""
+        """Z-score of the number against the description, with tolerance and regression's deviation; 0 without a number.
+
+        Wide tolerances are log-normal: there it is the one of the nearest value within two of the regression's deviations."""
+        if not self.means:
+            return 0.0
+        if self.tolerance > NARROW * self.described > 0.0:
+            near = np.clip(self.described, self.number - 2 * self.number_std, self.number + 2 * self.number_std)
+            ratio = max(float(near), _NOTHING * self.described) / self.described
+            return abs(float(np.log(ratio))) / float(np.log1p(self.tolerance / self.described))
         spread = float(np.hypot(self.tolerance, self.number_std))
-        return abs(self.number - self.described) / max(spread, 1e-300) if self.means else 0.0
+        return abs(self.number - self.described) / max(spread, 1e-300)
 
     @property
     def misfit(self) -> float:

@@ -4,6 +4,7 @@ load."""
 from __future__ import annotations
 
 import ast
+import json
 from pathlib import Path
 
 import numpy as np
@@ -52,3 +53,26 @@ def test_an_unmeasured_load_is_no_mistake_in_the_log(file, number, column, measu
         link = Mounting(inertia=inertia, gravity_moment=moment)
         log = Measurement("log", Path(), (Recording("log", table["time"].to_numpy(), columns, link=link),))
         assert [m for m in find_mistakes(log, joint) if m.confidence > 0.5] == []
+
+
+@pytest.mark.parametrize("known", [(), ("Jw",), ("Fc",), ("Fc", "Jw")])
+@pytest.mark.parametrize("files", [slice(None), slice(0, 1), slice(5, 6)])
+def test_a_description_by_rules_of_a_larger_gear_is_no_mistake_in_the_data(known, files, measured, tmp_path):
+    """The catalogue's friction is 800 times an XL330's, its rotor 30 times: the position was a velocity at 1.00."""
+    guessed = {"Fc": 1e-4, "Jw": 1e-9}
+    numbers = {"Kt": 0.00123, "R": 3.4, "L": 5e-4, "Jm": 1.2e-8, "N": 288.4} | {name: guessed[name] for name in known}
+    sheet = Datasheet("CSG", 14, 100, numbers, {"counts": 4096}, {"bits": 12})
+    joint, recordings = new_joint(sheet, tmp_path / "servo.yaml").joint, []
+    folder = measured("robots", "xl330", "2026-01-15_10h28m10.json").parent
+    for file in sorted(folder.glob("*.json"))[files]:
+        log = json.loads(file.read_text())
+        names = ("timestamp", "position", "load", "input_volts")
+        time, position, load, volts = (np.array([entry[n] for entry in log["entries"]], float) for n in names)
+        current = np.where(load > 2**15, load - 2**16, load) / 1000 * volts / 3.4
+        weight = log["mass"] * 9.81 * log["length"]
+        link = Mounting(inertia=log["mass"] * log["length"] ** 2 + 5e-4, gravity_moment=weight)
+        recordings.append(
+            Recording(file.stem, time - time[0], {"link_position": position, "motor_current": current}, link=link)
+        )
+    found = find_mistakes(Measurement("log", tmp_path, tuple(recordings)), joint)
+    assert not [m for m in found if m.confidence > 0.5], found

@@ -290,11 +290,15 @@ def _same(a: SmoothedChannels, b: SmoothedChannels, channels: tuple[str, ...]) -
 
 
 class Plausibility:
-    """A joint's description, compared with the channels of one recording."""
+    """A joint's description, compared with the channels of one recording.
 
-    def __init__(self, joint: Joint, recording: Recording):
+    `lighter`: rotor and friction may be much smaller than described, as those by rules of a larger gear are.
+    """
+
+    def __init__(self, joint: Joint, recording: Recording, lighter: bool = False):
         self.joint, self.mounting = joint, recording.link
         self.p = joint.record(recording.link)[0]
+        self.lighter = lighter
         self.pushed = recording.external == "unmeasured"
         self.rated = joint.numbers["rated_torque"].value
         self._size = self.rated / SETTINGS.rated_torque
@@ -419,8 +423,11 @@ class Plausibility:
         theta, v, a = self.link(motion).T
         rotor = N * N * float(p["Jm"] + p["Jw"]) if drive else 0.0
         inertia = float(p["Jl"]) * motion.inertia + rotor
+        least = SETTINGS.inertia[0] * (float(p["Jl"]) / (float(p["Jl"]) + rotor) if self.lighter else 1.0)
         shapes = _Shapes(len(theta))
-        shapes.add(inertia * a, *((0.0, 1e3, 1.0, 1e3) if free else (*SETTINGS.inertia, 1.0, 0.8)), bounding=True)
+        shapes.add(
+            inertia * a, *((0.0, 1e3, 1.0, 1e3) if free else (least, SETTINGS.inertia[1], 1.0, 0.8)), bounding=True
+        )
         # The link's own weight, a payload, a cable, a stop [N·m].
         payload = self._payload
         turned = (0.25 if self.joint.gravity_angle is not None else 0.06) * weight + 0.3 * payload
@@ -442,7 +449,8 @@ class Plausibility:
         if drive:
             friction, viscous = N * float(p["Fc"]), N * N * float(p["bw"] + p["bm"]) + float(p["bl"])
             level = len(shapes)
-            shapes.add(friction * sliding, SETTINGS.friction[0], SETTINGS.friction[1], 1.0, 2.0, bounding=True)
+            slightest = 0.0 if self.lighter else SETTINGS.friction[0]
+            shapes.add(friction * sliding, slightest, SETTINGS.friction[1], 1.0, 2.0, bounding=True)
             shapes.add(viscous * v, SETTINGS.viscous[0], SETTINGS.viscous[1] * high, 1.0, 3.0)
             offset = 0.2 * N * float(p["Kt"]) + 0.5 * friction
             shapes.add(1.0, -offset, offset, N * float(p["Kt"] * p["current_offset"]), offset / 3)
