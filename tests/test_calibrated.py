@@ -54,6 +54,7 @@ def cubes(kind: str, size: int) -> kept.Rows:
     return [{"kind": kind, "size": size, "power": p, "value": size**p if p else np.nan} for p in (3, 0)]
 
 
+@pytest.mark.slow
 def test_draws_that_are_kept_are_not_computed_again(tmp_path: Path):
     wanted, order = [("b", 2), ("", 1)], {"kind": ("b", ""), "size": None, "power": None}
     path = tmp_path / "kept.csv"

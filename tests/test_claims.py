@@ -10,6 +10,7 @@ from benchmarks.estimators import SCENARIOS, drawn
 from benchmarks.pages import ROOT
 
 
+@pytest.mark.slow
 def test_claims_are_measured_with_every_setting():
     rows = pd.DataFrame(row for s in SCENARIOS for row in claims.examine(s, drawn(s, 0.0, 101, None)))
     mean = claims.means(rows).sort_index()

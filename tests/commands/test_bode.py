@@ -39,6 +39,7 @@ def bode(flexspline, *arguments):
     return json.loads(out)
 
 
+@pytest.mark.slow
 def test_the_link_against_the_drive(flexspline, measured, tmp_path):
     """The dip is where the link swings against a held rotor; below it, the drive and the link are one inertia."""
     found = bode(flexspline, measured / "measurement", "--out", tmp_path / "out")

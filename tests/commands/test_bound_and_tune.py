@@ -38,6 +38,7 @@ def test_bound(flexspline, tmp_path):
     assert (tmp_path / "external_push" / "limits.png").stat().st_size > 10000
 
 
+@pytest.mark.slow
 def test_bound_on_draws_of_its_own_model(flexspline):
     code, out, _ = flexspline(
         "bound", "link_sweep", "--walk", "--intensity", 0.5, "--seeds", 1, "--filter", "EKF", "--set", "duration=3"

@@ -232,6 +232,7 @@ def test_into_a_users_urdf(export, folder, tmp_path):
     assert mujoco.MjModel.from_xml_path(str(out)).njnt == 1
 
 
+@pytest.mark.slow
 def test_draws_are_around_the_fit(export, folder, tmp_path):
     """Their spread is that of what they are drawn from: friction's common 15 % and the torque constant's 2 %."""
     out = tmp_path / "joint.py"

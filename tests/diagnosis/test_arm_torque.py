@@ -60,6 +60,7 @@ def test_the_reading_is_compared_with_the_load_of_the_arm(tmp_path):
     assert validate(measurement, joint).residual["joint_torque"].rms == pytest.approx(FRICTION, rel=0.2)
 
 
+@pytest.mark.slow
 def test_friction_at_the_output_is_found(tmp_path):
     joint, measurement, _ = recorded(tmp_path, 1.0, 2)
     found = diagnose(measurement, joint)
@@ -70,6 +71,7 @@ def test_friction_at_the_output_is_found(tmp_path):
     assert validate(measurement, found.extended).residual["joint_torque"].rms < 0.2 * FRICTION
 
 
+@pytest.mark.slow
 def test_masses_that_are_wrong_are_the_load_of_the_arm_and_no_gain_of_the_sensor(tmp_path):
     joint, measurement, recording = recorded(tmp_path, 1.4, 3)
     found = diagnose(measurement, joint)

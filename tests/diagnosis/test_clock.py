@@ -8,7 +8,10 @@ from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.trials.draw import Challenge, draw
 
 
-@pytest.mark.parametrize(("scale", "without"), [(0.85, ("joint_torque",)), (1.12, ())])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scale", "without"), [(0.85, ("joint_torque",)), pytest.param(1.12, (), marks=pytest.mark.long)]
+)
 def test_a_wrong_clock_is_a_mistake_and_no_cause(scale, without):
     sound = draw(Challenge(hidden="none", seed=4801, without=without), 0)
     recordings = tuple(replace(r, time=scale * r.time) for r in sound.measurement.recordings)
@@ -21,7 +24,8 @@ def test_a_wrong_clock_is_a_mistake_and_no_cause(scale, without):
     assert "Check the rate" in found.reason and "import --fix" not in found.reason
 
 
-@pytest.mark.parametrize("cause", ["rotor_inertia", "link_inertia"])
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", ["rotor_inertia", pytest.param("link_inertia", marks=pytest.mark.long)])
 def test_another_inertia_is_no_wrong_clock(cause):
     hidden = draw(Challenge(only=(cause,), seed=4802), 0)
     found = diagnose(hidden.measurement, hidden.nominal)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from swing import recording
 
 from flexspline.diagnosis.data.stretches import LONGEST, most_telling
@@ -57,6 +58,7 @@ def test_a_segment_with_fewer_samples_than_pieces_is_used():
     assert 2 <= len(kept.time) < len(slow.time)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_says_which_part_it_used():
     long = measurement(recording(rate=100.0, seconds=130.0))
     found = diagnose(long, load_joint("test-joint"), seconds=0.1)

@@ -37,6 +37,7 @@ def test_nothing_is_claimed_of_a_sound_log(seed):
     assert [m for m in find_mistakes(log, joint) if m.confidence > 0.5] == []
 
 
+@pytest.mark.slow
 def test_a_load_that_nothing_measures_is_no_mistake_in_the_log():
     """Nearly a third had one above 0.5: a velocity, another unit of both angles, a drive turned round."""
     claimed = []
@@ -67,6 +68,7 @@ def test_a_hidden_mistake_is_named_at_any_rate(label):
     assert tried and sum(named) >= 0.6 * tried, (label, named)
 
 
+@pytest.mark.slow
 def test_a_load_of_another_inertia_is_no_claim_of_a_wrong_clock():
     """One encoder does not tell them apart, unless the inertia is less than the rotor's. Both are listed."""
     label = "clock × 0.5"

@@ -183,7 +183,7 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
     assert not wrong, f"{case.name}: " + "; ".join(wrong)
 
 
-@pytest.mark.fast_every(16)  # of every eighth case the sweep
+@pytest.mark.fast_every(48)  # of every 24th case the sweep
 @pytest.mark.parametrize("push", [False, True], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
 def test_known_effect(case, push):

@@ -132,6 +132,7 @@ def test_torques_scale_with_the_joint(name, case):
         assert most <= 1e-6
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith("payload") and name != "augmented"])
 def test_the_motor_sides_unit_of_angle_has_no_effect(name):
     """But for those that state a velocity of the motor: to learn a payload from, or as what a recording may begin with."""

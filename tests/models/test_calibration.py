@@ -28,6 +28,7 @@ def test_prior_mean_is_nominal(name):
         np.testing.assert_allclose(got, as_floats(joint.record(mounting)), rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_spread_of_draws_is_the_tolerance(calibration, rng):
     """Relative to a normal distribution cut at 2.5, whose deviation is 0.9546 of the uncut one's."""
     draws = np.array([calibration.draw(rng) for _ in range(4000)])

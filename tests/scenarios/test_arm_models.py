@@ -356,6 +356,7 @@ def test_energy_of_an_arm_that_picks_up_in_motion(carrying):
         assert np.ptp(error) < 3e-3 * np.ptp(energy)
 
 
+@pytest.mark.fast_every(2)
 @pytest.mark.parametrize("known", [True, False])
 def test_the_recordings_know_a_payload_or_not(tmp_path, flexspline, carrying, known):
     """A recording's own load is what the joint holds if it knows the payload; written, read, and run again."""

@@ -93,6 +93,7 @@ def test_one_joint_of_a_locked_arm_is_the_plant(moving, effects, monkeypatch):
     np.testing.assert_allclose(ours[:, 2], theirs[:, 2], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_energy_of_a_six_axis_arm_is_kept():
     """Undamped and without friction, wound up and let go: MuJoCo's energy of the bodies and the springs' of the gears."""
     changes = dict.fromkeys(("bm", "bw", "bl", "df", "dw", "s1", "Fc", "Fs", "s0"), 0.0)
