@@ -5,6 +5,8 @@ samples of the recording. With two encoders, both ends follow, for current and t
 encoder offset is so uncertain that its band is narrower. The link position is simulated with the rotor alone, unless there were
 unmeasured pushes. Errors count in motion: at rest friction is unknown up to its level.
 
+A kinematic error of unknown phase is not simulated: it is in the bands alone.
+
 Every simulated channel has a 95 % band for the channel without its sensor's noise: the root sum of squares of
 
 * the description's uncertainty along its independent directions (`models.uncertainty`),
@@ -26,6 +28,7 @@ from scipy.ndimage import uniform_filter1d
 
 from ..estimator.conditioning import Conditioned, as_logged, condition
 from ..models import dynamics
+from ..models.calibration import in_quadratures
 from ..models.dynamics import State
 from ..models.errors import InputError
 from ..models.files import plain
@@ -182,7 +185,7 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
     mistakes = find_mistakes(measurement, joint)
     measurement = unclipped(measurement, joint, mistakes)
     wrong = {column for m in mistakes if m.severe for column in (m.column, *m.also)}
-    joint = as_logged(joint, measurement.recordings, wrong)
+    joint = in_quadratures(as_logged(joint, measurement.recordings, wrong))  # of an unknown phase none is right
     recordings = tuple(_simulated(recording, joint) for recording in measurement.recordings)
     if not any(np.isfinite(x).any() for r in recordings for x in r.simulated.values()):
         raise InputError(

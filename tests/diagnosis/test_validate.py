@@ -62,6 +62,23 @@ def test_sensors_are_as_late_as_they_are_described():
         assert rms[1] < 1.02 * rms[0] < rms[2]
 
 
+def test_a_kinematic_error_of_unknown_phase_is_not_simulated_at_a_phase_of_its_own():
+    """A guessed phase is as wrong as another, and the error of its ripple was twice that of none."""
+    drawn, measurement = sweep()
+    data = drawn.nominal.model_dump()
+
+    def rms(turned: float, deviation: float) -> float:
+        changed = [
+            order | {"phase": order["phase"] | {"value": order["phase"]["value"] + turned, "deviation": deviation}}
+            for order in data["kinematic_error"]
+        ]
+        joint = type(drawn.nominal).model_validate(data | {"kinematic_error": changed})
+        return validate(measurement, joint).residual["joint_torque"].rms
+
+    right, wrong, unknown, turned = rms(0.0, 0.0), rms(np.pi, 0.0), rms(0.0, 1.8), rms(np.pi, 1.8)
+    assert unknown == pytest.approx(turned, rel=1e-6) and right < unknown < 0.7 * wrong
+
+
 def test_a_push_that_the_arm_makes_is_not_held_against_the_one_that_was_measured():
     """What an arm in motion does and what a sensor reads act together; the column has the sensor's part alone."""
     drawn = draw(Challenge(seed=SEED, hidden="none", exact=True, scenarios=("external_push",)), 0)
