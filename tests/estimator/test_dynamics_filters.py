@@ -293,6 +293,7 @@ def test_half_of_rarekf_everywhere(scenario):
     assert np.exp(np.mean(np.log(ratios))) <= 0.5
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_friction_error_is_absorbed(scenario):

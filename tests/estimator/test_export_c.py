@@ -75,6 +75,7 @@ def test_header_computes_what_the_step_computes(tmp_path, name):
     compare(tmp_path, "no_load", [name])
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", sorted(shipped_scenarios()))
 def test_every_scenario(tmp_path, scenario):
