@@ -16,6 +16,7 @@ import json
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -30,6 +31,7 @@ except ImportError:  # Windows has no such locks
 MANIFEST = ".flexspline"
 _NEW, _DONE = f"{MANIFEST}-new-", f"{MANIFEST}-done-"
 _JOURNAL, _LISTED = ".journal", ".manifest"
+_TRIES = 100  # to enter a folder that other processes make and remove
 _ENVIRONMENT = {
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG,
     errno.ESTALE,
@@ -85,8 +87,9 @@ def output_folder(
     """
     entered = False
     try:
-        if path.exists() and not path.is_dir():
-            raise InputError(f"{path}: expected a folder to write to, got a file")
+        with suppress(FileNotFoundError, NotADirectoryError):
+            if not stat.S_ISDIR(path.stat().st_mode):
+                raise InputError(f"{path}: expected a folder to write to, got a file")
         if within is not None and not path.resolve().is_relative_to(within.resolve()):
             raise InputError(f"{path}: expected a folder inside {within}, got a link that leads elsewhere")
         with _staging(path) as staging:
@@ -118,17 +121,25 @@ def _staging(path: Path) -> Iterator[Path]:
 
     owner = None
     try:
-        path.mkdir(parents=True, exist_ok=True)
         with at_end(remove):
-            with _locked(path):  # until it is held, another process would remove it
-                _sweep(path)
-                staging.mkdir()
-                owner = _own(staging)
+            owner = _entered(path, staging)
             yield staging
     finally:
         remove()
         if owner is not None:
             os.close(owner)
+
+
+def _entered(path: Path, staging: Path) -> int | None:
+    """Make a folder and one inside it, and lock that; another process may remove a folder that it made and left empty."""
+    for _ in range(_TRIES):
+        with suppress(FileNotFoundError):
+            path.mkdir(parents=True, exist_ok=True)
+            with _locked(path):  # until the inner one is locked, another process would remove it
+                _sweep(path)
+                staging.mkdir()
+                return _own(staging)
+    raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
 
 
 _at_end: list[Callable[[], object]] = []
@@ -277,10 +288,11 @@ def _move_up(path: Path, done: Path) -> None:
 def _sweep(path: Path) -> None:
     for entry in list(os.scandir(path)):
         if entry.name.startswith(_NEW) and entry.is_dir(follow_symlinks=False):
-            owner = _own(Path(entry.path))
-            if owner is not None:
-                shutil.rmtree(entry.path, ignore_errors=True)
-                os.close(owner)
+            with suppress(FileNotFoundError):  # its own process has removed it
+                owner = _own(Path(entry.path))
+                if owner is not None:
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                    os.close(owner)
 
 
 def _own(path: Path, wait: bool = False) -> int | None:
@@ -294,6 +306,13 @@ def _own(path: Path, wait: bool = False) -> int | None:
     except OSError:
         os.close(held)
         return None
+    try:
+        there = os.path.samestat(os.fstat(held), path.stat())
+    except FileNotFoundError:
+        there = False
+    if not there:  # removed in the meantime
+        os.close(held)
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     return held
 
 

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -232,6 +233,19 @@ def test_a_full_disk_is_one_line_and_leaves_what_was_there(tmp_path, number):
 def test_errors_of_the_work_itself_are_unchanged(tmp_path):
     with pytest.raises(FileNotFoundError), output_folder(tmp_path / "out", "run"):
         (tmp_path / "nothing").read_text()
+
+
+@pytest.mark.parametrize("name", [".", "new/er"])
+def test_several_may_begin_at_once_in_one_folder(tmp_path, name):
+    """One listed what another removed as it ended: `cannot be written: No such file or directory`."""
+
+    def begin(_: int) -> None:
+        for _ in range(60):
+            check_output(tmp_path / name, "run")
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(begin, range(4))) == [None] * 4
+    assert not list(tmp_path.rglob(f"{MANIFEST}*"))
 
 
 def test_it_works_without_locks(tmp_path, monkeypatch):
