@@ -308,7 +308,7 @@ def _own(path: Path, wait: bool = False) -> int | None:
         return None
     try:
         there = os.path.samestat(os.fstat(held), path.stat())
-    except FileNotFoundError:
+    except OSError:  # the lock must not outlive this
         there = False
     if not there:  # removed in the meantime
         os.close(held)
