@@ -155,6 +155,10 @@ def friction(shared: Path, folder: Path) -> list[Log]:
     return [cut("eRob80 (published friction)", load_joint(str(case / "erob80.yaml")), recordings)]
 
 
+SERVO_RESISTANCE = 5.0 / 1.47
+"""Resistance between the terminals of an XL330 [Ω], by stall voltage and current of its data sheet."""
+
+
 def servo(shared: Path, folder: Path) -> list[Log]:
     """An XL330-M288 servo (spur gears 288:1) with a pendulum of known mass: 190 Hz, counts of 1.5 mrad.
 
@@ -162,25 +166,31 @@ def servo(shared: Path, folder: Path) -> list[Log]:
     data sheet; inertia and friction are guesses.
     """
     numbers = {
-        "N": 288.4, "Kt": 0.52 / 1.47 / 288.4, "R": 5.0 / 1.47, "L": 5e-4, "Jm": 1.2e-8, "Jw": 1e-9, "bm": 1e-9, "Fc": 1e-4,
+        "N": 288.4, "Kt": 0.52 / 1.47 / 288.4, "R": SERVO_RESISTANCE, "L": 5e-4, "Jm": 1.2e-8, "Jw": 1e-9, "bm": 1e-9, "Fc": 1e-4,
         "bw": 5e-8,
     }  # fmt: skip
     wide = {"Jm": 1.0, "Kt": 0.3, "Fc": 2.0, "bw": 2.0}
     sheet = Datasheet("CSG", 14, 100, numbers, {"counts": 4096}, {"bits": 12}, name="xl330", tolerances=wide)
-    joint, recordings = new_joint(sheet, folder / "xl330.yaml").joint, []
+    joint = new_joint(sheet, folder / "xl330.yaml").joint
+    return [cut("XL330 servo with a pendulum", joint, servo_recordings(shared))]
+
+
+def servo_recordings(shared: Path) -> list[Recording]:
+    """Read the XL330's logs: position, PWM as a current, and the pendulum."""
+    recordings = []
     for file in sorted((shared / "robots" / "xl330").glob("*.json")):
         log = json.loads(file.read_text())
         time, position, load, volts = (
             np.array([entry[name] for entry in log["entries"]], float)
             for name in ("timestamp", "position", "load", "input_volts")
         )
-        current = np.where(load > 2**15, load - 2**16, load) / 1000 * volts / numbers["R"]
+        current = np.where(load > 2**15, load - 2**16, load) / 1000 * volts / SERVO_RESISTANCE
         link = Mounting(
             inertia=log["mass"] * log["length"] ** 2 + 5e-4, gravity_moment=log["mass"] * 9.81 * log["length"]
         )
         columns = {"link_position": position, "motor_current": current}
         recordings.append(Recording(file.stem, time - time[0], columns, link=link))
-    return [cut("XL330 servo with a pendulum", joint, recordings)]
+    return recordings
 
 
 def ur3e(shared: Path, folder: Path) -> list[Log]:

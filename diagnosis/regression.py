@@ -15,7 +15,7 @@ joint that predicts held-out data worse is not written.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -82,8 +82,8 @@ class Coefficient:
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        shown = [f.name for f in fields(self)][: -1 if self.means else 3]
-        return {name: getattr(self, name) for name in shown}
+        of_joint = ("means", "number", "number_std", "described", "tolerance", "unit") if self.means else ()
+        return {name: getattr(self, name) for name in ("name", "value", "std", *of_joint)}
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from ..models.kernels import kernel
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
-from ..models.signals import SENSED, Signals
+from ..models.signals import SENSED, Signals, at_samples
 from ..models.step import OK, SAMPLE, Arrays, CompiledStep, PythonStep, Step
 from .errors import FilterDiverged
 from .sensing import LOWPASS, read_joint_torque
@@ -247,10 +247,7 @@ class Posterior:
 
     def part(self, samples: slice) -> Posterior:
         """Return the estimate at some of the samples."""
-        arrays: dict[str, Any] = {
-            f.name: x[samples] for f in fields(self) if isinstance(x := getattr(self, f.name), np.ndarray)
-        }
-        return replace(self, **arrays, columns={name: x[samples] for name, x in self.columns.items()})
+        return at_samples(self, samples)
 
     def _repr_html_(self) -> str:
         rows = [("joint torque", "N·m", float(np.min(self.mean)), float(np.max(self.mean)))]

@@ -7,8 +7,8 @@ A sensor's channel is one entry here, with its field of `joint_parts.Sensors` (n
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -97,7 +97,7 @@ class Signals(Mapping[str, np.ndarray]):
 
     def part(self, samples: slice | np.ndarray) -> Signals:
         """Return the same channels at some of the samples."""
-        return Signals(self.time[samples], {name: values[samples] for name, values in self.columns.items()})
+        return at_samples(self, samples)
 
     def without(self, *names: str) -> Signals:
         """Return the signals without some channels."""
@@ -106,3 +106,17 @@ class Signals(Mapping[str, np.ndarray]):
     def with_columns(self, **columns: np.ndarray) -> Signals:
         """Return the signals with further channels, or others of the same name."""
         return Signals(self.time, {**self.columns, **columns})
+
+
+Sampled = TypeVar("Sampled")
+
+
+def at_samples(record: Sampled, samples: slice | np.ndarray) -> Sampled:
+    """Return a dataclass with its arrays, also those in mappings by name, shape (n, …) each, at some of the samples."""
+    found: dict[str, Any] = {}
+    for name, value in ((f.name, getattr(record, f.name)) for f in fields(record)):  # type: ignore[arg-type]
+        if isinstance(value, np.ndarray):
+            found[name] = value[samples]
+        elif isinstance(value, Mapping):
+            found[name] = {key: x[samples] for key, x in value.items()}
+    return replace(record, **found)  # type: ignore[type-var]

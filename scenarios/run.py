@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from ..models.joint_parts import beyond_sentence
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import Recording, with_load
-from ..models.signals import Signals
+from ..models.signals import Signals, at_samples
 from ..sim.loop import CONTROL_PERIOD, Simulation
 from ..sim.plant import link_mass
 from .evaluation.metrics import Reference
@@ -101,11 +101,7 @@ class Run:
 
     def part(self, ticks: slice) -> Run:
         """Return two or more successive control ticks of the run, as a run that begins later."""
-        s = self.simulation
-        arrays: dict[str, Any] = {
-            f.name: x[ticks] for f in fields(s) if isinstance(x := getattr(s, f.name), np.ndarray)
-        }
-        simulation = replace(s, **arrays, further={name: x[ticks] for name, x in s.further.items()})
+        simulation = at_samples(self.simulation, ticks)
         estimates = {name: one.part(ticks) for name, one in self.estimates.items()}
         return replace(
             self, simulation=simulation, estimates=estimates, command=self.command[ticks],

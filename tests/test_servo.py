@@ -4,13 +4,13 @@ load."""
 from __future__ import annotations
 
 import ast
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks.real_logs import servo_recordings
 from flexspline.diagnosis.data.mistakes import find_mistakes
 from flexspline.models.datasheet import Datasheet, new_joint
 from flexspline.models.joint import load_joint
@@ -62,17 +62,7 @@ def test_a_description_by_rules_of_a_larger_gear_is_no_mistake_in_the_data(known
     guessed = {"Fc": 1e-4, "Jw": 1e-9}
     numbers = {"Kt": 0.00123, "R": 3.4, "L": 5e-4, "Jm": 1.2e-8, "N": 288.4} | {name: guessed[name] for name in known}
     sheet = Datasheet("CSG", 14, 100, numbers, {"counts": 4096}, {"bits": 12})
-    joint, recordings = new_joint(sheet, tmp_path / "servo.yaml").joint, []
-    folder = measured("robots", "xl330", "2026-01-15_10h28m10.json").parent
-    for file in sorted(folder.glob("*.json"))[files]:
-        log = json.loads(file.read_text())
-        names = ("timestamp", "position", "load", "input_volts")
-        time, position, load, volts = (np.array([entry[n] for entry in log["entries"]], float) for n in names)
-        current = np.where(load > 2**15, load - 2**16, load) / 1000 * volts / 3.4
-        weight = log["mass"] * 9.81 * log["length"]
-        link = Mounting(inertia=log["mass"] * log["length"] ** 2 + 5e-4, gravity_moment=weight)
-        recordings.append(
-            Recording(file.stem, time - time[0], {"link_position": position, "motor_current": current}, link=link)
-        )
+    joint = new_joint(sheet, tmp_path / "servo.yaml").joint
+    recordings = servo_recordings(measured("robots", "xl330", "2026-01-15_10h28m10.json").parents[2])[files]
     found = find_mistakes(Measurement("log", tmp_path, tuple(recordings)), joint)
     assert not [m for m in found if m.confidence > 0.5], found

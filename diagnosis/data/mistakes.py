@@ -128,22 +128,31 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
         if m.name == "velocity" or (m.name == "sign" and m.lost)
     ]
     after = _worst([{n: fit for n, fit in fits.items() if n not in ignored} for fits in end.fits])
-    found = [one for m, having in end.found for one in _where(m, having, recordings)]
     beyond = sum(map(_beyond, start.fits, end.fits)) > 0.5 * len(recordings)
-    another, loads, loaded = search.with_another_load() if found or any(map(_suspicious, start.fits)) else _NO_LOAD
-    lost = {m.column for m, _ in end.found if m.name == "sign" and m.lost}
+    fits = not beyond and after >= max(SETTINGS.wrong, min(AGREEMENT.suspicious, SETTINGS.less * before))
+    return _weighed(search, end, fits and (mends or not end.found), late)
+
+
+def _weighed(search: _Search, end: _State, fits: bool, late: list[Mistake]) -> list[Mistake]:
+    """Weigh the changes of a state against descriptions that explain the channels without them: another load, an unmeasured
+    one, a lighter drive. `fits`: whether the channels fit the joint with the changes; `late`: time offsets."""
+    start, recordings = search.start, search.recordings
+    found = [one for m, having in end.found for one in _where(m, having, recordings)]
+    disagree = any(map(_suspicious, start.fits))
+    another, loads, loaded = search.with_another_load() if found or disagree else _NO_LOAD
     gain = another - end.score
     instead = bool(loads) and gain > SETTINGS.beyond
+    lost = {m.column for m, _ in end.found if m.name == "sign" and m.lost}
+    blind = bool(lost) and lost >= {name for r in recordings for name in DRIVING if name in r}
     # An unmeasured load changes torques alone, and fits any change that leaves much of them.
-    angles = [fits[name] for fits in start.fits for name in ("encoders", "command") if name in fits]
+    angles = [one[name] for one in start.fits for name in ("encoders", "command") if name in one]
     alone = not lost and not any(fit.suspicious for fit in angles)
-    unsure = alone and _rest(loaded if instead else end.fits) > SETTINGS.rest
+    unsure = (alone and _rest(loaded if instead else end.fits) > SETTINGS.rest) or not (instead or fits)
     if instead:
         found = [replace(m, confidence=1 / (1 + math.exp(-min(gain, 50.0) / 3))) for m in loads]
-    else:  # the best change may not make the channels fit the joint
-        unsure |= beyond or after < max(SETTINGS.wrong, min(AGREEMENT.suspicious, SETTINGS.less * before))
-        unsure |= bool(found) and not mends
-    blind = bool(lost) and lost >= {name for r in recordings for name in DRIVING if name in r}
+    elif found and disagree and search.fits_a_lighter_drive():
+        # Rules for a larger gear may have filled rotor and friction: a doubt, no reason to refuse the data.
+        found = [m if m.column in lost else replace(_unsure(m), severe=False) for m in found]
 
     def doubtful(m: Mistake) -> bool:
         if unsure or (blind and m.column not in lost):  # a magnitude alone judges no other column
@@ -151,10 +160,7 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
         of_load = {m.name, m.column} & {"load", "no_gravity", "angle_zero", GRAVITY}
         return gain > -SETTINGS.beyond and not of_load
 
-    if found and not instead and any(map(_suspicious, start.fits)) and search.fits_a_lighter_drive():
-        # Rules for a larger gear may have filled rotor and friction: a doubt, no reason to refuse the data.
-        found = [m if m.column in lost else replace(_unsure(m), severe=False) for m in found]
-    if all("encoders" not in fits for fits in start.fits):
+    if all("encoders" not in one for one in start.fits):
         found, late = [*late, *found], []
     return [*late, *(_unsure(m) if doubtful(m) else m for m in found)]
 
@@ -207,11 +213,12 @@ class _Search:
     """Beam search for the changes that make the channels fit.
 
     Attributes:
+      recordings: of the measurement.
       start: state without changes.
     """
 
     def __init__(self, recordings: Sequence[Recording], joint: Joint):
-        self._recordings, self._joint = tuple(recordings), joint
+        self.recordings, self._joint = tuple(recordings), joint
         self._N, self._p = joint.numbers["N"].value, [joint.record(r.link)[0] for r in recordings]
         self._plausible = [Plausibility(joint, r) for r in recordings]
         self._carried = [r.arm is not None and bool(r.arm.positions) for r in recordings]
@@ -233,7 +240,7 @@ class _Search:
         are then wrong, none if the channels still disagree, and the relations."""
         found, wrong, fitting = 0.0, list[Mistake](), list[dict[str, RelationFit]]()
         for r, p, motion, fits in zip(
-            self._recordings, self._plausible, self.start.motions, self.start.fits, strict=True
+            self.recordings, self._plausible, self.start.motions, self.start.fits, strict=True
         ):
             known = any(fit.at_bound for fit in fits.values())  # the score without changes does not count it
             torques = [name for name in reversed(DRIVING) if name in fits]
@@ -255,7 +262,7 @@ class _Search:
 
     def fits_a_lighter_drive(self) -> bool:
         """Return whether all channels agree without changes if rotor and friction are much smaller than described."""
-        pairs = zip(self._recordings, self.start.motions, strict=True)
+        pairs = zip(self.recordings, self.start.motions, strict=True)
         fits = [Plausibility(self._joint, r, lighter=True).agreement(m) for r, m in pairs if m is not None]
         return not any(map(_suspicious, fits))
 
@@ -282,11 +289,11 @@ class _Search:
             # The arm's load depends on the link's angle.
             mine = [one for one, having in state.found if i in having]
             try:
-                return motion_of(_mend(self._recordings[i], self._joint, [*mine, m]))
+                return motion_of(_mend(self.recordings[i], self._joint, [*mine, m]))
             except InputError:
                 return motion
         if m.name == "sign" and m.lost:  # from the description
-            r, mine = self._recordings[i], [one for one, having in state.found if i in having]
+            r, mine = self.recordings[i], [one for one, having in state.found if i in having]
             sign = expected_sign(motion.channels, self._N, self._p[i])
             x = r[m.column] * np.sign(np.interp(r.time - r.time[0], motion.time, sign))
             return motion_of(_mend(replace(r, columns={**r.columns, m.column: x}), self._joint, mine))
