@@ -287,8 +287,6 @@ def _tanh(x):
 
 
 _FUNCTIONS: dict[Any, Callable[[Any], Any]] = {
-    math.sin: lambda x: chained(x, math.sin(value_of(x)), math.cos(value_of(x))),
-    math.cos: lambda x: chained(x, math.cos(value_of(x)), -math.sin(value_of(x))),
     math.exp: _exp,
     math.expm1: lambda x: chained(x, math.expm1(value_of(x)), math.exp(value_of(x))),
     math.log: lambda x: chained(x, math.log(value_of(x)), 1.0 / value_of(x)),

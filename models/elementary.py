@@ -31,21 +31,16 @@ def _sincos(x):
     n = math.floor(x * (2.0 / math.pi) + 0.5)
     r = ((x - n * _QUARTER[0]) - n * _QUARTER[1]) - n * _QUARTER[2]
     z = r * r
-    s = 2.75573136213857245213e-6 + z * (-2.50507477628578072866e-8 + z * 1.58962301576546568060e-10)
-    s = r + r * z * (
-        -1.66666666666666307295e-1 + z * (8.33333333332211858878e-3 + z * (-1.98412698295895385996e-4 + z * s))
-    )
-    c = -2.75573141792967388112e-7 + z * (2.08757008419747316778e-9 - z * 1.13585365213876817300e-11)
-    c = 4.16666666666665929218e-2 + z * (-1.38888888888730564116e-3 + z * (2.48015872888517045348e-5 + z * c))
-    c = 1.0 - 0.5 * z + z * z * c
-    quadrant = n & 3
-    if quadrant == 0:
-        return s, c
-    if quadrant == 1:
-        return c, -s
-    if quadrant == 2:
-        return -s, -c
-    return -c, s
+    zz = z * z
+    s = -1.98412698295895385996e-4 + z * 2.75573136213857245213e-6
+    s += zz * (-2.50507477628578072866e-8 + z * 1.58962301576546568060e-10)
+    s = r + r * z * (-1.66666666666666307295e-1 + z * 8.33333333332211858878e-3 + zz * s)
+    c = 2.48015872888517045348e-5 - z * 2.75573141792967388112e-7
+    c += zz * (2.08757008419747316778e-9 - z * 1.13585365213876817300e-11)
+    c = 1.0 - 0.5 * z + zz * (4.16666666666665929218e-2 - z * 1.38888888888730564116e-3 + zz * c)
+    # Without branches, which turning angles make hard to predict.
+    sine, cosine = (s, c) if n & 1 == 0 else (c, s)
+    return sine * (1.0 - (n & 2)), cosine * (1.0 - (n + 1 & 2))
 
 
 @overload(sincos)
@@ -58,6 +53,16 @@ def _sincos_of(x):
         return chained(x, s, c), chained(x, c, -s)
 
     return both
+
+
+@overload(math.sin)
+def _sin_of(x):
+    return (lambda x: sincos(x)[0]) if x == dual else None
+
+
+@overload(math.cos)
+def _cos_of(x):
+    return (lambda x: sincos(x)[1]) if x == dual else None
 
 
 @kernel(forceinline=True)

@@ -293,15 +293,32 @@ def flexible_step(angle, rate, before, after, h, p):
 
     Exact for a linear change of the link's acceleration [rad/s²] from `before` to `after` (damping below 1).
     """
+    return flexible_motion(angle, rate, before, after, flexible_response(h, p))
+
+
+@kernel
+def flexible_response(h, p):
+    """Return the coefficients of `flexible_motion` for a time `h` [s]."""
     w, zeta = 2.0 * math.pi * p.flexible_frequency, p.flexible_damping
-    slope = (after - before) / h
-    # Less the particular solution −(a − 2ζ/ω a')/ω² of the straight line, the rest is a free oscillation.
-    steady, steady_rate = -(before - 2.0 * zeta / w * slope) / (w * w), -slope / (w * w)
-    x, v = angle - steady, rate - steady_rate
     wd = w * math.sqrt(1.0 - zeta * zeta)
     c, s, decay = math.cos(wd * h), math.sin(wd * h) / wd, math.exp(-zeta * w * h)
-    x, v = decay * (x * (c + zeta * w * s) + v * s), decay * (v * (c - zeta * w * s) - w * w * x * s)
-    return x + steady + steady_rate * h, v + steady_rate
+    xx, xv, vx, vv = decay * (c + zeta * w * s), decay * s, -decay * w * w * s, decay * (c - zeta * w * s)
+    # Less the particular solution −(a − 2ζ/ω a')/ω² of the straight line, the rest is a free oscillation.
+    steady, bent, rate = -1.0 / (w * w), 2.0 * zeta / (w * w * w), -1.0 / (w * w)
+    return (
+        xx, xv, (1.0 - xx) * steady, ((1.0 - xx) * bent + (h - xv) * rate) / h,
+        vx, vv, -vx * steady, ((1.0 - vv) * rate - vx * bent) / h,
+    )  # fmt: skip
+
+
+@kernel(forceinline=True)
+def flexible_motion(angle, rate, before, after, response):
+    """Return `flexible_step` for known coefficients."""
+    change = after - before
+    return (
+        response[0] * angle + response[1] * rate + response[2] * before + response[3] * change,
+        response[4] * angle + response[5] * rate + response[6] * before + response[7] * change,
+    )
 
 
 @kernel

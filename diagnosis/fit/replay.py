@@ -192,7 +192,7 @@ def _transmission(p, given, begin, end, moving, inner):
     measured, passband, h = given.measured, given.passband, given.step
     shift = p.link_delay / h
     reach = laws.wave_generator_torsion(_STIFFEST * p.Kt * p.current_limit, p)
-    rigid = p.Jl - laws.flexible_inertia(p)
+    rigid, swing = p.Jl - laws.flexible_inertia(p), laws.flexible_response(h, p)
     z, dahl, w, theta_w = moving.bristle, moving.dahl, moving.wave_generator_velocity, moving.wave_generator_position
     m1, vm1, l1, vl1, al1 = (
         moving.motor_position, moving.motor_velocity, moving.link_position, moving.link_velocity,
@@ -294,7 +294,7 @@ def _transmission(p, given, begin, end, moving, inner):
             if p.hysteresis_torque != 0.0:
                 dahl = laws.dahl_step(dahl, w_middle * t.ratio - vl, h, p)
         if p.flexible_share != 0.0 and not measured:
-            phi, phi_rate = laws.flexible_step(phi, phi_rate, al0, al1, h, p)
+            phi, phi_rate = laws.flexible_motion(phi, phi_rate, al0, al1, swing)
         if step < 0:
             continue
         ends = dynamics.transmission(
@@ -338,7 +338,7 @@ def _readings(p, given, begin, end, inner, swinging, out):
     weighed, h, every, window = given.weighed, given.step, given.every, given.window
     shift = p.link_delay / h
     phi, phi_rate, before = swinging.position, swinging.velocity, swinging.link_acceleration
-    has_torque = len(torque) > 0
+    has_torque, swing = len(torque) > 0, laws.flexible_response(h, p)
     k = begin // every
     r = begin - k * every
     for i in range(begin, end):
@@ -357,7 +357,7 @@ def _readings(p, given, begin, end, inner, swinging, out):
         if not weighed:
             phi, phi_rate = s.flexible_position, s.flexible_velocity
         elif p.flexible_share != 0.0:
-            phi, phi_rate = laws.flexible_step(phi, phi_rate, before, acceleration, h, p)
+            phi, phi_rate = laws.flexible_motion(phi, phi_rate, before, acceleration, swing)
             before = acceleration
         balance += laws.flexible_torque(phi, phi_rate, p)
         balance -= (p.Jl - laws.flexible_inertia(p)) * acceleration
