@@ -183,14 +183,14 @@ class Problem:
 
     def records(self, theta: np.ndarray, model: Model) -> list[np.ndarray]:
         """Return parameter records of the joint at `theta`, one a segment."""
-        parts = self.split(theta, model)
+        values = [h.values(u) for h, u in zip(model, self.split(theta, model), strict=True)]
         made: dict[Mounting, np.ndarray] = {}
         found = []
         for mounting in self.mountings:
             if mounting not in made:
                 record = self.calibration.record(theta[: self.calibration.size], mounting)
-                for h, u in zip(model, parts, strict=True):
-                    h.cause.apply(record[0], h.values(u))
+                for h, own in zip(model, values, strict=True):
+                    h.cause.apply(record[0], own)
                 made[mounting] = record
             found.append(made[mounting])
         return found

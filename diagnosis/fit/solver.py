@@ -316,68 +316,46 @@ class _Derivatives:
 
     def __init__(self, problem: Problem, model: Model, theta: np.ndarray, near: Fit | None):
         self.problem, self.model = problem, model
-        self.common = None if near is None else self._taken_over(near, theta)
-        self.effects: list[Columns | None] = [None] * len(model)
-        self.at = [np.full(h.size, np.inf) for h in model]
-        for i, h in enumerate(model):
-            j = None if near is None else next((j for j, g in enumerate(near.model) if g is h), None)
-            if near is not None and j is not None:
-                block = problem.place(near.model, j)
-                self.effects[i], self.at[i] = [J[..., block] for J in near.jacobian], near.theta[block]
+        self.columns: Columns = [np.zeros((len(s.at), len(BALANCES), len(theta))) for s in problem.segments]
+        self.old, self.at = np.ones(len(theta), bool), np.full(len(theta), np.inf)
+        if near is None:
+            return
+        # Numbers that an effect of only one of the two models replaces are renewed.
+        apart = [h for h in model if all(h is not g for g in near.model)]
+        apart += [g for g in near.model if all(g is not h for h in model)]
+        blocks = [(slice(problem.size), slice(problem.size))]
+        shared = [(i, j) for i, h in enumerate(model) for j, g in enumerate(near.model) if g is h]
+        blocks += [(problem.place(model, i), problem.place(near.model, j)) for i, j in shared]
+        for here, there in blocks:
+            for new, J in zip(self.columns, near.jacobian, strict=True):
+                new[..., here] = J[..., there]
+            self.old[here], self.at[here] = False, near.theta[there]
+        self.old[problem.replaced(apart)] = True
 
-    def renew_common(self, theta: np.ndarray) -> None:
-        """Compute those in the common unknowns; of linear ones only the first time."""
-        columns = np.arange(self.problem.size)
-        self._put(theta, columns if self.common is None else np.setdiff1d(columns, self.problem.linear))
+    def renew_common(self) -> None:
+        """Have those in the common unknowns renewed; linear ones are computed only once."""
+        self.old[np.setdiff1d(np.arange(self.problem.size), self.problem.linear)] = True
 
     def of_all(self, theta: np.ndarray) -> Columns:
         """Return all; those in effects that have moved far are renewed."""
-        problem, model = self.problem, self.model
-        old = [i for i in range(len(model)) if self.effects[i] is None or self._moved(i, theta) > CHORD]
-        # Several directions are computed at a time; a spline has enough of them.
-        for group in ([i for i in old if model[i].free], *([i] for i in old if not model[i].free)):
-            blocks = [problem.place(model, i) for i in group]
-            columns = [np.arange(block.start, block.stop) for block in blocks]
-            found = problem.jacobian(theta, model, np.concatenate(columns)) if group else []
-            ends = np.cumsum([0, *map(len, columns)])
-            for i, block, begin, end in zip(group, blocks, ends[:-1], ends[1:], strict=True):
-                self.effects[i], self.at[i] = [J[..., begin:end] for J in found], theta[block].copy()
-        assert self.common is not None
-        parts = [self.common, *(c for c in self.effects if c is not None)]
-        return self.common if len(parts) == 1 else [np.concatenate(p, -1) for p in zip(*parts, strict=True)]
+        self.forget(theta, CHORD)
+        # All at a time: several directions cost as much as one.
+        renewed = np.flatnonzero(self.old)
+        if len(renewed):
+            self.columns = [J.copy() for J in self.columns]
+            for J, new in zip(self.columns, self.problem.jacobian(theta, self.model, renewed), strict=True):
+                J[..., renewed] = new
+            self.old[renewed], self.at[renewed] = False, theta[renewed]
+        return self.columns
 
-    def forget(self, theta: np.ndarray) -> bool:
-        """Have those in effects renewed that were not computed at `theta`; return whether there are any."""
-        old = [i for i in range(len(self.model)) if self._moved(i, theta) > 0.0]
-        for i in old:
-            self.effects[i] = None
-        return bool(old)
-
-    def _moved(self, index: int, theta: np.ndarray) -> float:
-        """Change of an effect's coordinates since; 0 for a spline, which is linear in them."""
-        if not self.model[index].free:
-            return 0.0
-        u = theta[self.problem.place(self.model, index)]
-        return float(np.max(np.abs(u - self.at[index]), initial=0.0))
-
-    def _taken_over(self, near: Fit, theta: np.ndarray) -> Columns:
-        """Those of a fit in the common unknowns; renewed of numbers that an effect of only one of the two models replaces."""
-        self.common = [j[..., : self.problem.size] for j in near.jacobian]
-        apart = [h for h in self.model if all(h is not g for g in near.model)]
-        apart += [g for g in near.model if all(g is not h for h in self.model)]
-        columns = self.problem.replaced(apart)
-        if len(columns):
-            self._put(theta, columns)
-        return self.common
-
-    def _put(self, theta: np.ndarray, columns: np.ndarray) -> None:
-        """Compute some of those in the common unknowns."""
-        found = []
-        for s, new in enumerate(self.problem.jacobian(theta, self.model, columns)):
-            whole = np.zeros((*new.shape[:2], self.problem.size)) if self.common is None else self.common[s].copy()
-            whole[..., columns] = new
-            found.append(whole)
-        self.common = found
+    def forget(self, theta: np.ndarray, change: float = 0.0) -> bool:
+        """Have those in effects renewed whose coordinates changed by more since; return whether there are any."""
+        # A spline is linear in its coordinates.
+        places = [self.problem.place(self.model, i) for i, h in enumerate(self.model) if h.free]
+        moved = [at for at in places if np.max(np.abs(theta[at] - self.at[at]), initial=0.0) > change]
+        for at in moved:
+            self.old[at] = True
+        return bool(moved)
 
 
 class Fitter:
@@ -429,7 +407,7 @@ class Fitter:
         derivatives = _Derivatives(problem, model, theta, near)
         for _ in range(iterations):
             if fresh:
-                derivatives.renew_common(theta)
+                derivatives.renew_common()
             jacobian = derivatives.of_all(theta)
             noise = learn(segments, residual, replicates, problem.quantum(), None, self.bands, sensed, rest)
             normal = normal_equations(problem, noise, model, theta, Point(residual, replicates), jacobian, None)
