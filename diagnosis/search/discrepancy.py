@@ -33,6 +33,7 @@ MORE = 0.03  # part of what the causes explain (mean square) that must be unexpl
 SHARE = 0.3  # of the unexplained mean square that it must remove
 THIN = 3  # every n-th residual is used at first
 REFINED = 3  # candidates that are fitted through the replay
+BEHIND = 50.0  # log posterior by which one may be less probable than the known causes and still be fitted again
 ALIKE = 0.002  # difference of shares below which two places of a variable have the same residual
 
 
@@ -403,11 +404,11 @@ def find(fitter: Fitter, posterior: ModelPosterior, base: Fit, best: Fit) -> Fit
             f = _refined(fitter, best, candidate)
             found.append((posterior.judge(f).score, f))
     # The derivatives were taken far from these fits: the most probable are fitted again with their own.
+    now = posterior.judge(best).score
     found.sort(key=lambda x: -x[0])
-    for _, f in found[:REFINED]:
+    for _, f in [x for x in found[:REFINED] if x[0] > now - BEHIND]:
         f = fitter.fit(f.model, f.theta, None, 6, best)
         found.append((posterior.judge(f).score, f))
-    now = posterior.judge(best).score
     named = [
         (score, f) for score, f in found
         if score > now
