@@ -46,7 +46,8 @@ class ChangeSettings:
 
 SETTINGS = ChangeSettings()
 _DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
-_UNSURE = 0.5  # largest confidence where no change makes the channels fit
+UNSURE = 0.5
+"""Largest confidence of a change with which the channels do not fit the joint."""
 GRAVITY = "gravity_angle"
 """Column of a mistake in gravity's direction: the mounting's angle in the recording's YAML."""
 NO_CHANGE = "the channels do not fit this joint with any change of unit, sign or column"
@@ -99,7 +100,7 @@ class Mistake:
     @property
     def sure(self) -> bool:
         """Whether the change makes the channels fit the joint."""
-        return self.confidence > _UNSURE and not self.lost
+        return self.confidence > UNSURE and not self.lost
 
     @property
     def unmended(self) -> str:

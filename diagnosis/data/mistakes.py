@@ -24,7 +24,7 @@ from ...models.errors import InputError, InputWarning
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording, check_channels, with_load
 from ...models.signals import DRIVING, POSITIONS
-from .changes import GRAVITY, NO_CHANGE, Mistake, Table, expected_sign, shrinkage, side, undone
+from .changes import GRAVITY, NO_CHANGE, UNSURE, Mistake, Table, expected_sign, shrinkage, side, undone
 from .plausibility import SETTINGS as AGREEMENT
 from .plausibility import Plausibility, RelationFit, SmoothedChannels, motion_of
 from .samples import bridged, still_commands, unwrapped, wrong_samples
@@ -40,7 +40,6 @@ class ClaimSettings:
     sure: float = 7.0  # gain beyond its price above which a change is accepted
     at_odds: float = 0.1  # by how much a change may worsen a misfit
     wrong: float = -0.6  # misfit of a relation below which the channels do not fit
-    less: float = 0.5  # misfit over that without changes above which suspicious channels do not fit
     rest: float = 0.2  # residual over spread of a torque above which an unmeasured load explains it as well
     hopeless: float = -5.0  # misfit below which a relation is invalid
     worse: float = -9.0  # loss in a recording below which a change is not of all recordings
@@ -55,8 +54,8 @@ class ClaimSettings:
 
 SETTINGS = ClaimSettings()
 _TURN = 2 * np.pi
-_UNSURE = 0.5  # largest confidence where no change makes the channels fit
 _OPTIONAL = ("position_command",)  # columns that no balance uses
+_OF_LOAD = ("no_gravity", "angle_zero")  # mistakes that another load explains by nature
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
 _SCALES = (
     ("kelvin", (200.0, 500.0), 1.0, -273.15),
@@ -82,28 +81,26 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
       All mistakes found, severe or not, sure or not.
     """
     moving = tuple(r for r in measurement.recordings if not r.link.locked)
-    found = list[Mistake]()
-    second = _time_unit(moving)
-    if second != 1.0:
-        said = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[second]
-        found.append(Mistake("unit", "time", "", f"{said}, logged as seconds", 0.99, factor=second))
-    recordings = _apply(moving, joint, found)
-    for recording, still in zip(recordings, still_commands(recordings, joint), strict=True):
-        found += [*_temperature(recording), *wrong_samples(recording, joint), *still]
-    if len(moving) == 1:
-        found = [replace(m, recording="") for m in found]
-    further: list[Mistake] = []
+    found = _of_samples(moving, joint)
     try:
         recordings = _apply(moving, joint, found)
     except InputError:  # every channel is stuck
         recordings = ()
-    if recordings:
-        # Skip recordings with few valid samples, if there are others.
-        rest = [r for r, a in zip(recordings, moving, strict=True) if len(r.time) > SETTINGS.valid * len(a.time)]
-        recordings = tuple(rest) or recordings
-        further = _of_columns(recordings, joint)
+    # Skip recordings with few valid samples, if there are others.
+    rest = [r for r, a in zip(recordings, moving, strict=False) if len(r.time) > SETTINGS.valid * len(a.time)]
+    recordings = tuple(rest) or recordings
+    further = _of_columns(recordings, joint) if recordings else []
     named = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))
     return tuple(replace(m, severe=m.severe and m.column not in _OPTIONAL) for m in named)
+
+
+def _of_samples(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
+    """Find wrong units of time and temperature, and wrong samples."""
+    found = _time_unit(recordings)
+    recordings = _apply(recordings, joint, found)
+    for recording, still in zip(recordings, still_commands(recordings, joint), strict=True):
+        found += [*_temperature(recording), *wrong_samples(recording, joint), *still]
+    return found if len(recordings) > 1 else [replace(m, recording="") for m in found]
 
 
 def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
@@ -112,81 +109,123 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     late = [one for m, having in late_columns(recordings, joint) for one in _where(m, having, recordings)]
     search = _Search(_apply(recordings, joint, late), joint)
     start, end = search.start, search.best()
-    if _not_followed(start.fits, end.fits):
-        end = start
-    mends = _better(start, end)
-    before = _worst(start.fits)
-    if not mends and before > SETTINGS.wrong:
-        end = start
-    about = {c for m, _ in end.found for c in (m.column, *m.also)}
-    # A stop or a push may keep the joint from following its command.
-    ignored = [] if "position_command" in about or not mends else ["command"]
-    # The integral of a velocity drifts, and a lost sign is only approximate.
-    ignored += [
-        "encoders" if m.name == "velocity" else m.column
-        for m, _ in end.found
-        if m.name == "velocity" or (m.name == "sign" and m.lost)
-    ]
-    after = _worst([{n: fit for n, fit in fits.items() if n not in ignored} for fits in end.fits])
-    beyond = sum(map(_beyond, start.fits, end.fits)) > 0.5 * len(recordings)
-    fits = not beyond and after >= max(SETTINGS.wrong, min(AGREEMENT.suspicious, SETTINGS.less * before))
-    return _weighed(search, end, fits and (mends or not end.found), late)
-
-
-def _weighed(search: _Search, end: _State, fits: bool, late: list[Mistake]) -> list[Mistake]:
-    """Weigh the changes of a state against descriptions that explain the channels without them: another load, an unmeasured
-    one, a lighter drive. `fits`: whether the channels fit the joint with the changes; `late`: time offsets."""
-    start, recordings = search.start, search.recordings
+    fits = end.mends(start) and end.worst >= SETTINGS.wrong
+    if not fits and start.worst > SETTINGS.wrong:
+        end, fits = start, True
     found = [one for m, having in end.found for one in _where(m, having, recordings)]
-    disagree = any(map(_suspicious, start.fits))
-    another, loads, loaded = search.with_another_load() if found or disagree else _NO_LOAD
-    gain = another - end.score
-    instead = bool(loads) and gain > SETTINGS.beyond
-    lost = {m.column for m, _ in end.found if m.name == "sign" and m.lost}
-    blind = bool(lost) and lost >= {name for r in recordings for name in DRIVING if name in r}
-    # An unmeasured load changes torques alone, and fits any change that leaves much of them.
-    angles = [one[name] for one in start.fits for name in ("encoders", "command") if name in one]
-    alone = not lost and not any(fit.suspicious for fit in angles)
-    unsure = (alone and _rest(loaded if instead else end.fits) > SETTINGS.rest) or not (instead or fits)
-    if instead:
-        found = [replace(m, confidence=1 / (1 + math.exp(-min(gain, 50.0) / 3))) for m in loads]
-    elif found and disagree and search.fits_a_lighter_drive():
+    if end.found and start.disagrees and search.fits_a_lighter_drive():
         # Rules for a larger gear may have filled rotor and friction: a doubt, no reason to refuse the data.
-        found = [m if m.column in lost else replace(_unsure(m), severe=False) for m in found]
-
-    def doubtful(m: Mistake) -> bool:
-        if unsure or (blind and m.column not in lost):  # a magnitude alone judges no other column
-            return True
-        of_load = {m.name, m.column} & {"load", "no_gravity", "angle_zero", GRAVITY}
-        return gain > -SETTINGS.beyond and not of_load
-
+        found = [m if m.column in end.lost else replace(_unsure(m), severe=False) for m in found]
     if all("encoders" not in one for one in start.fits):
-        found, late = [*late, *found], []
-    return [*late, *(_unsure(m) if doubtful(m) else m for m in found)]
+        found, late = [*late, *found], []  # only torques show a time offset
+    if end.lost and end.lost >= {name for r in recordings for name in DRIVING if name in r}:
+        found = [m if m.column in end.lost else _unsure(m) for m in found]  # a magnitude alone judges no other column
+    load = search.with_another_load() if end.found or start.disagrees else None
+    if load is not None and load.score > end.score - SETTINGS.beyond:
+        found = [m if m.name in _OF_LOAD or m.column == GRAVITY else _unsure(m) for m in found]
+        if load.found and load.score > end.score + SETTINGS.beyond:
+            wrong = [replace(m, confidence=_probability(load.score - end.score)) for m, _ in load.found]
+            found, end, fits = [*(m for m in found if m.name == "late"), *wrong], load, True
+    return [*late, *(found if fits and not start.leaves_a_load(end) else map(_unsure, found))]
 
 
 def _unsure(m: Mistake) -> Mistake:
-    return replace(m, confidence=min(m.confidence, _UNSURE))
+    return replace(m, confidence=min(m.confidence, UNSURE))
 
 
-_Fits = Sequence[dict[str, RelationFit]]
-"""Relations of every recording."""
-_NO_LOAD: tuple[float, list[Mistake], _Fits] = (-math.inf, [], [])
+def _probability(gain: float) -> float:
+    """Return the probability of a hypothesis over another one, by the gain in score."""
+    return 1 / (1 + math.exp(-min(max(gain, -50.0), 50.0) / 3))
+
+
+_Fits = dict[str, RelationFit]
+"""Relations of a recording."""
 
 
 @dataclass(frozen=True)
 class _State:
-    """Changes so far, each with its recordings, and the resulting channels of every recording."""
+    """Channels with some changes, or under another description of the joint.
+
+    Attributes:
+      motions, fits: channels and relations of every recording.
+      found: changes, each with its recordings by index.
+      price: of changes and description, in log likelihood.
+      refund: part of the price that changes give back.
+    """
 
     motions: tuple[SmoothedChannels | None, ...]
-    fits: tuple[dict[str, RelationFit], ...]
+    fits: tuple[_Fits, ...]
     found: tuple[tuple[Mistake, tuple[int, ...]], ...] = ()
     price: float = 0.0
-    credit: float = 0.0  # negative part of the price
+    refund: float = 0.0
 
     @property
     def score(self) -> float:
         return sum(map(_total, self.fits)) - self.price
+
+    @property
+    def disagrees(self) -> bool:
+        return any(map(_suspicious, self.fits))
+
+    @property
+    def lost(self) -> set[str]:
+        """Columns without their sign."""
+        return {m.column for m, _ in self.found if m.name == "sign" and m.lost}
+
+    @property
+    def worst(self) -> float:
+        """Misfit of the worst relation, except those that say little of the changes."""
+        # A lost sign is only approximate, the integral of a velocity drifts, and a stop may keep a link from its command.
+        ignored = self.lost | {"encoders" for m, _ in self.found if m.name == "velocity"}
+        if all("position_command" not in (m.column, *m.also) for m, _ in self.found):
+            ignored.add("command")
+        return min((fit.misfit for fits in self.fits for name, fit in fits.items() if name not in ignored), default=0.0)
+
+    @property
+    def rest(self) -> float:
+        """Residual of torques over their spread, of a recording in the middle; 0 without torques."""
+        torques = [[one[name].rest for name in DRIVING if name in one] for one in self.fits]
+        found = [max(rests) for rests in torques if rests]
+        return float(np.median(found)) if found else 0.0
+
+    def leaves_a_load(self, other: _State) -> bool:
+        """Return whether another state may only fit an unmeasured load: torques alone disagree here, and much of them is left."""
+        angles = [fits[name] for fits in self.fits for name in ("encoders", "command") if name in fits]
+        return not other.lost and other.rest > SETTINGS.rest and not any(fit.suspicious for fit in angles)
+
+    def mends(self, start: _State) -> bool:
+        """Return whether readings fit better than without changes, and no relation disagrees more."""
+        commands = [fits["command"] for fits in self.fits if "command" in fits]
+        stopped = any(fit.misfit < AGREEMENT.suspicious for fit in commands)
+        gain, beyond = self.refund, 0
+        for old, new in zip(start.fits, self.fits, strict=True):
+            for name in new.keys() & old.keys():
+                if new[name].misfit < min(AGREEMENT.suspicious, old[name].misfit - SETTINGS.at_odds):
+                    return False
+            gain += _readings(new, stopped) - _readings(old, stopped)
+            beyond += _beyond(new) and not _beyond(old)
+        return not self.found or (gain > SETTINGS.sure and beyond <= 0.5 * len(self.fits))
+
+
+def _readings(fits: _Fits, stopped: bool) -> float:
+    """Return the part of `_total` of readings; `stopped`: without the command, which a stop keeps the link from."""
+    found = sum(fit.readings for name, fit in fits.items() if name != "command" or not stopped)
+    return found - SETTINGS.beyond * _beyond(fits)
+
+
+def _total(fits: _Fits) -> float:
+    """Return the score of a recording's relations; a description that is wrong by more than a few times has a price."""
+    return sum(fit.agreement for fit in fits.values()) - SETTINGS.beyond * _beyond(fits)
+
+
+def _beyond(fits: _Fits) -> bool:
+    """Return whether a recording needs a description that is wrong by more than a few times."""
+    return any(fit.at_bound for fit in fits.values())
+
+
+def _suspicious(fits: _Fits) -> bool:
+    """Return whether a recording's channels disagree."""
+    return any(fit.suspicious for fit in fits.values())
 
 
 @dataclass(frozen=True)
@@ -194,11 +233,13 @@ class _Tried:
     """A change in one recording."""
 
     motion: SmoothedChannels | None  # channels with it
-    before: dict[str, RelationFit]  # relations without it
-    after: dict[str, RelationFit]  # with it
-    same: bool  # nothing changes
-    more: float  # gain
-    cost: float
+    before: _Fits  # relations without it
+    after: _Fits  # with it
+    cost: float = 0.0
+
+    @property
+    def more(self) -> float:
+        return _total(self.after) - _total(self.before)
 
     @property
     def gain(self) -> float:
@@ -232,46 +273,48 @@ class _Search:
             all_are(DRIVING, _folded), not any(self._carried),
         )  # fmt: skip
         motions = tuple(motion_of(r) for r in recordings)
-        fits = tuple({} if m is None else p.agreement(m) for p, m in zip(self._plausible, motions, strict=True))
-        self.start = _State(motions, fits)
+        self.start = _State(motions, self._agreement(motions, self._plausible))
 
-    def with_another_load(self) -> tuple[float, list[Mistake], _Fits]:
-        """Return the score without changes if each recording has the load that fits its torque best, the described loads that
-        are then wrong, none if the channels still disagree, and the relations."""
-        found, wrong, fitting = 0.0, list[Mistake](), list[dict[str, RelationFit]]()
-        for r, p, motion, fits in zip(
-            self.recordings, self._plausible, self.start.motions, self.start.fits, strict=True
-        ):
-            known = any(fit.at_bound for fit in fits.values())  # the score without changes does not count it
+    @staticmethod
+    def _agreement(motions: Sequence[SmoothedChannels | None], plausible: Sequence[Plausibility]) -> tuple[_Fits, ...]:
+        return tuple({} if m is None else p.agreement(m) for p, m in zip(plausible, motions, strict=True))
+
+    def with_another_load(self) -> _State:
+        """Return the channels without changes, each recording with the load that fits its torque best.
+
+        `found` has the described loads that are then wrong; none if the channels still disagree.
+        """
+        found, plausible = list[tuple[Mistake, tuple[int, ...]]](), list[Plausibility]()
+        parts = zip(self.recordings, self._plausible, self.start.motions, self.start.fits, strict=True)
+        for i, (r, p, motion, fits) in enumerate(parts):
             torques = [name for name in reversed(DRIVING) if name in fits]
-            if motion is not None and torques:
-                link = p.best_load(motion, torques[0])
-                # A sensor in another unit contradicts the load alone; a single one makes both its numbers larger, or smaller.
-                ratios = (
-                    link.inertia / max(r.link.inertia, 1e-12),
-                    link.gravity_moment / max(r.link.gravity_moment, 1e-12),
-                )
-                unit = len(torques) == 1 and (max(ratios) < 1 / SETTINGS.few or min(ratios) > SETTINGS.few)
-                contradicted = r.load is None and not unit and all(fits[name].suspicious for name in torques)
-                text = p.unlike(link) if contradicted else ""
-                fits = Plausibility(self._joint, replace(r, link=link)).agreement(motion)
-                wrong += [Mistake("load", "link", r.name, text, 0.0, lost=True)] if text else []
-            fitting.append(fits)
-            found += _total(fits) - (0.0 if known else SETTINGS.beyond)
-        return found, wrong if _worst(fitting) > SETTINGS.wrong else [], fitting
+            if motion is None or not torques:
+                plausible.append(p)
+                continue
+            link = p.best_load(motion, torques[0])
+            plausible.append(Plausibility(self._joint, replace(r, link=link)))
+            # A sensor in another unit contradicts the load alone; a single one makes both its numbers larger, or smaller.
+            pairs = ((link.inertia, r.link.inertia), (link.gravity_moment, r.link.gravity_moment))
+            ratios = [fitted / max(described, 1e-12) for fitted, described in pairs]
+            unit = len(torques) == 1 and (max(ratios) < 1 / SETTINGS.few or min(ratios) > SETTINGS.few)
+            contradicted = r.load is None and not unit and all(fits[name].suspicious for name in torques)
+            if contradicted and (text := p.unlike(link)):
+                found.append((Mistake("load", "link", r.name, text, 0.0, lost=True), (i,)))
+        agreement = self._agreement(self.start.motions, plausible)
+        state = _State(self.start.motions, agreement, tuple(found), SETTINGS.beyond * len(agreement))
+        return state if state.worst > SETTINGS.wrong else replace(state, found=())
 
     def fits_a_lighter_drive(self) -> bool:
         """Return whether all channels agree without changes if rotor and friction are much smaller than described."""
-        pairs = zip(self.recordings, self.start.motions, strict=True)
-        fits = [Plausibility(self._joint, r, lighter=True).agreement(m) for r, m in pairs if m is not None]
-        return not any(map(_suspicious, fits))
+        lighter = [Plausibility(self._joint, r, lighter=True) for r in self.recordings]
+        return not any(map(_suspicious, self._agreement(self.start.motions, lighter)))
 
     def best(self) -> _State:
         """Return the state that no further change improves enough."""
         states, best = [self.start], self.start
         vague = any(fit.vague for fits in self.start.fits for fit in fits.values())
         for depth in range(SETTINGS.most):
-            looked = [s for s in states if any(map(_suspicious, s.fits)) or (depth == 0 and vague)]
+            looked = [s for s in states if s.disagrees or (depth == 0 and vague)]
             further = [s for state in looked for s in self._steps(state)]
             states = sorted(further, key=lambda s: -s.score)[: SETTINGS.kept]
             if not states or states[0].score <= best.score + SETTINGS.sure:
@@ -285,18 +328,17 @@ class _Search:
         touched = m.name == "swapped" or m.column in ("time", GRAVITY)
         if motion is None or not (touched or any(c in motion for c in (m.column, *m.also))):
             return motion
-        if self._carried[i] and {m.column or "link_position", *m.also} & set(POSITIONS):
-            # The arm's load depends on the link's angle.
-            mine = [one for one, having in state.found if i in having]
-            try:
-                return motion_of(_mend(self.recordings[i], self._joint, [*mine, m]))
-            except InputError:
-                return motion
+        r, mine = self.recordings[i], [one for one, having in state.found if i in having]
         if m.name == "sign" and m.lost:  # from the description
-            r, mine = self.recordings[i], [one for one, having in state.found if i in having]
             sign = expected_sign(motion.channels, self._N, self._p[i])
             x = r[m.column] * np.sign(np.interp(r.time - r.time[0], motion.time, sign))
             return motion_of(_mend(replace(r, columns={**r.columns, m.column: x}), self._joint, mine))
+        if self._carried[i] and {m.column or "link_position", *m.also} & set(POSITIONS):
+            # The arm's load depends on the link's angle.
+            try:
+                return motion_of(_mend(r, self._joint, [*mine, m]))
+            except InputError:
+                return motion
         time, channels = undone(m, motion.time, motion.channels, self._N, self._p[i])
         return replace(motion, time=time, channels=channels)
 
@@ -304,11 +346,9 @@ class _Search:
         """Apply one more change to a recording."""
         motion, before = self._without(m, i, state), state.fits[i]
         if motion is state.motions[i] or motion is None:
-            return _Tried(motion, before, before, True, 0.0, 0.0)
+            return _Tried(motion, before, before)
         after = self._plausible[i].agreement(motion, state.motions[i], before)
-        cost = shrinkage(m, after, before, AGREEMENT.effective)
-        cost += SETTINGS.beyond * (_beyond(before, after) - _beyond(after, before))
-        return _Tried(motion, before, after, False, _total(after) - _total(before), cost)
+        return _Tried(motion, before, after, shrinkage(m, after, before, AGREEMENT.effective))
 
     def _steps(self, state: _State) -> list[_State]:
         """Return all states with one more change whose gain exceeds its price."""
@@ -324,21 +364,18 @@ class _Search:
                 chosen = [i for i, one in enumerate(tried) if i in chosen or (one.fits_only_with and one.more > least)]
             if not chosen or not self._leaves_motion(m, [tried[i] for i in chosen]):
                 continue  # a link at rest fits any torque
-            everywhere = all(i in chosen or one.same for i, one in enumerate(tried))
+            everywhere = all(i in chosen or one.after is one.before for i, one in enumerate(tried))
             price = m.price if everywhere else (m.price + SETTINGS.one_of_several) * len(chosen)
             gain = sum(tried[i].gain for i in chosen) - price
-            if gain <= 0:
-                continue
-            sure = replace(m, confidence=1 / (1 + math.exp(-min(gain, 50.0) / 3)))
-            steps.append(
-                _State(
+            if gain > 0:
+                step = _State(
                     tuple(one.motion if i in chosen else state.motions[i] for i, one in enumerate(tried)),
                     tuple(one.after if i in chosen else one.before for i, one in enumerate(tried)),
-                    (*state.found, (sure, tuple(chosen))),
+                    (*state.found, (replace(m, confidence=_probability(gain)), tuple(chosen))),
                     state.price + price + sum(tried[i].cost for i in chosen),
-                    state.credit + sum(min(tried[i].cost, 0.0) for i in chosen if not m.becomes),
+                    state.refund + sum(max(-tried[i].cost, 0.0) for i in chosen if not m.becomes),
                 )
-            )
+                steps.append(step)
         for column in POSITIONS:
             steps = self._best_unit(steps, column)
         return steps
@@ -376,7 +413,7 @@ class _Search:
         *before, (last, having) = best.found
         alone = 1.0 / sum(math.exp(min(x - score, 50.0) / 3) for x in scores)
         if (not described and len(near) > 1) or (whole and last.counts is None):
-            alone = min(alone, _UNSURE)
+            alone = min(alone, UNSURE)
         last = replace(last, confidence=min(last.confidence, alone))
         return [*(s for s in steps if not of_them(s.found[-1][0])), replace(best, found=(*before, (last, having)))]
 
@@ -389,70 +426,19 @@ def _folded(x: np.ndarray) -> bool:
     return bool(x.min() >= 0.0 and returns and np.count_nonzero(near) > max(2e-3 * len(x), 4))
 
 
-def _suspicious(fits: dict[str, RelationFit]) -> bool:
-    """Return whether a recording's channels disagree."""
-    return any(fit.suspicious for fit in fits.values())
-
-
-def _beyond(before: dict[str, RelationFit], after: dict[str, RelationFit]) -> bool:
-    """Return whether a change requires a description that is wrong by more than a few times."""
-    return any(fit.at_bound and not (name in before and before[name].at_bound) for name, fit in after.items())
-
-
-def _worst(fits: _Fits) -> float:
-    """Return the misfit of the worst relation, halved for relations of angles; 0 without relations."""
-    found = [fit.misfit * (1.0 if name in DRIVING else 0.5) for relations in fits for name, fit in relations.items()]
-    return min(found, default=0.0)
-
-
-def _rest(fits: _Fits) -> float:
-    """Return the residual of torques over their spread, of a recording in the middle; 0 without torques."""
-    found = [max(fit.rest for fit in torques) for one in fits if (torques := [one[n] for n in DRIVING if n in one])]
-    return float(np.median(found)) if found else 0.0
-
-
-def _total(fits: dict[str, RelationFit]) -> float:
-    return sum(fit.agreement for fit in fits.values())
-
-
 def _said(fit: RelationFit) -> float:
     """Return the log likelihood of a relation's readings, limited if another column is wrong, too."""
     return fit.readings * SETTINGS.hopeless / min(fit.misfit, SETTINGS.hopeless)
 
 
-def _gained(before: _Fits, after: _Fits, but: str = "") -> float:
-    """Return the gain in log likelihood of all relations except one."""
-
-    def said(fits: _Fits) -> float:
-        return sum(fit.readings for relations in fits for name, fit in relations.items() if name != but)
-
-    return said(after) - said(before)
-
-
-def _not_followed(before: _Fits, after: _Fits) -> bool:
-    """Return whether only the command fits better: a stop or the drive's limit may keep the link from following."""
-    commands = [(old["command"], new["command"]) for old, new in zip(before, after, strict=True) if "command" in new]
-    commanded = any(new.misfit < AGREEMENT.suspicious and new is not old for old, new in commands)
-    return commanded and _gained(before, after, but="command") < SETTINGS.sure
-
-
-def _better(before: _State, after: _State) -> bool:
-    """Return whether readings fit better than before and no relation became suspicious."""
-    at_odds = any(
-        fit.misfit < min(AGREEMENT.suspicious, old[name].misfit - SETTINGS.at_odds)
-        for old, new in zip(before.fits, after.fits, strict=True)
-        for name, fit in new.items()
-        if name in old
-    )
-    return not at_odds and _gained(before.fits, after.fits) - after.credit > SETTINGS.sure
-
-
-def _time_unit(recordings: Sequence[Recording]) -> float:
-    """Return the unit of time [s]. A log with gaps between all samples, but smooth motion, is not in seconds."""
+def _time_unit(recordings: Sequence[Recording]) -> list[Mistake]:
+    """Find a time that is not in seconds: gaps between all samples, but smooth motion."""
     interval = min((r.interval for r in recordings), default=0.0)
     if interval <= GAP or not all(_sampled_fast(r) for r in recordings):
-        return 1.0
-    return next((unit for unit in (1e-3, 1e-6, 1e-9) if interval * unit < GAP), 1.0)
+        return []
+    units = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}
+    unit = next((unit for unit in units if interval * unit < GAP), None)
+    return [] if unit is None else [Mistake("unit", "time", "", f"{units[unit]}, logged as seconds", 0.99, factor=unit)]
 
 
 def _sampled_fast(recording: Recording) -> bool:
@@ -548,7 +534,7 @@ def fits_no_better(before: Measurement, after: Measurement, joint: Joint) -> boo
     misfits = []
     for one in (before, after):
         moving = tuple(r for r in one.recordings if not r.link.locked)
-        misfits.append(_worst(_Search(moving, joint).start.fits) if moving else 0.0)
+        misfits.append(_Search(moving, joint).start.worst if moving else 0.0)
     return misfits[1] < AGREEMENT.suspicious and misfits[1] <= misfits[0]
 
 
