@@ -23,7 +23,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..models.joint import Joint
-from ..models.joint_parts import AnalogSpec, EncoderSpec
+from ..models.joint_parts import AnalogSpec, EncoderSpec, Number
 from ..models.motion import CUTOFF, SHARE
 from ..models.recording import Recording
 from ..models.signals import CHANNELS, POSITIONS
@@ -33,6 +33,7 @@ from .stamps import Clock, clock_times, off_motion, read_stamps, stretches
 READ = ("motor_position", "link_position", "motor_current", "joint_torque", "external_torque")
 """Channels whose repeats and noise are measured."""
 FEWEST = 200  # fewest changes of a reading for a statement on its steps
+GRAVITY_ANGLE = 0.05  # standard deviation of the direction of gravity [rad], 3°: of zero points and the centre of mass
 _NEAR = 20  # largest change that is used [steps]
 _OFF = 0.1  # largest deviation from a whole number of steps [steps]
 _SHARE = 0.98  # least share of changes that are whole numbers of steps
@@ -135,9 +136,10 @@ def condition(recording: Recording, joint: Joint) -> Conditioned:
 
 
 def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[str] = ()) -> Joint:
-    """Return the joint with sensors as coarse as a log's readings; the same joint if the description is right.
+    """Return the joint with sensors as coarse as a log's readings, and with what nobody knows exactly about a log's load.
 
-    The torque of an arm's other links has the tolerance of the gravity moment, unless the description has its own.
+    The torque of an arm's other links has the tolerance of the gravity moment, and the direction of gravity a deviation of
+    `GRAVITY_ANGLE`, unless the description has its own.
     Columns in `wrong`, for example in another unit, are ignored.
     """
     changed: dict[str, Any] = {}
@@ -153,6 +155,9 @@ def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[s
     if gravity is not None and "arm" not in joint.link_tolerances and any(r.load is not None for r in recordings):
         arm = gravity.model_copy(update={"value": 1.0, "nominal": None, "std": None})
         update["link_tolerances"] = joint.link_tolerances | {"arm": arm}
+    if joint.gravity_angle is None:
+        source = "how well people know where zero and the load's centre of mass are"
+        update["gravity_angle"] = Number(value=0.0, unit="rad", deviation=GRAVITY_ANGLE, source=source)
     return joint.model_copy(update=update) if update else joint
 
 

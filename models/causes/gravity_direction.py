@@ -26,5 +26,5 @@ class GravityDirection(Cause):
         p["gravity_angle"] += values["angle"]
 
     def concerns(self, joint: Joint) -> bool:
-        """Only a joint with a stated direction of gravity may have it wrong: for others zero is its own direction."""
+        """Only a joint with a stated direction of gravity may have it wrong; a diagnosis of a log states one."""
         return joint.gravity_angle is not None

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.regression import contradictions, regressions
+from flexspline.diagnosis.validate import validate
+from flexspline.models.datasheet import Datasheet, new_joint
 from flexspline.models.joint import load_joint
 from flexspline.models.joint_parts import Mounting
 from flexspline.models.recording import Measurement, Recording
@@ -131,3 +134,31 @@ def test_a_torque_sensor_contradicts_a_load_and_a_clock(scale, said, rng, tmp_pa
     data = measurement(tmp_path, time=scale * time, link_position=theta, joint_torque=torque)
     found = contradictions(regressions(data, joint), joint)
     assert len(found) == bool(said) and said in "".join(found), found
+
+
+@pytest.mark.slow
+def test_a_centre_of_mass_that_is_a_few_degrees_off_is_calibrated(rng, tmp_path):
+    """A regression has gravity in two directions; a diagnosis that had one named a payload at 0.99."""
+    sheet = Datasheet("CSG", 17, 80, {"Kt": 0.1, "R": 0.5, "L": 5e-4, "Jm": 5e-5}, {"counts": 4096}, {"bits": 16})
+    joint = new_joint(sheet).joint
+    N, Kt, Fc, bw = (joint.numbers[name].value for name in ("N", "Kt", "Fc", "bw"))
+    rotor = N * N * (joint.numbers["Jm"].value + joint.numbers["Jw"].value)
+
+    def log(angle: float) -> Measurement:
+        time, theta, v, a = motion(rng, 40.0)
+        torque = 9.0 * np.sin(theta + angle) + (0.35 + rotor) * a + N * Fc * np.tanh(N * v / 0.1) + N * N * bw * v
+        current = torque / (N * Kt) + 0.01 * rng.standard_normal(len(time))
+        return measurement(tmp_path, time=time, link_position=theta, motor_current=current)
+
+    before, after = log(0.12), log(0.12)
+    found = diagnose(before, joint)
+    assert not [c for c in found.causes if c.confidence > 0.5 and c.name != "gravity_direction"], found
+    assert found.extended.record(LINK)[0]["gravity_angle"] == pytest.approx(0.12, abs=0.02)
+    (plain,) = regressions(before, joint)
+    (r,) = after.recordings
+    moving = np.abs(np.gradient(r["link_position"], r.time)) > 0.1
+    simulated = validate(after, found.extended).recordings[0].simulated["motor_current"]
+    left = [(r["motor_current"] - x)[moving] for x in (simulated, plain.predict(r, joint))]
+    ours, regression = (np.sqrt(np.nanmean(x**2)) for x in left)
+    print(f"{ours:.4f} A, regression {regression:.4f} A")
+    assert ours < 1.05 * regression
