@@ -35,7 +35,7 @@ test-slow: $(DONE)
 test-most: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "slow and not long"
 
-# Fast tests, of their parameters every eighth, with the lowest versions that pyproject.toml allows.
+# Of the fast tests of a file every eighth, with the lowest versions that pyproject.toml allows.
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/$(SCRIPTS)/python -m pip install --quiet uv

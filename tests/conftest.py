@@ -21,7 +21,7 @@ SEED = 20130506
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    help_ = "of a test's parameters every N-th alone: every line that it runs, not every case"
+    help_ = "of the tests of a file every N-th alone"
     parser.addoption("--every", type=int, default=1, metavar="N", help=help_)
 
 
@@ -35,8 +35,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     yield
     every = config.getoption("--every")  # of those that are run
     kept, left_out = [], []
-    for item, index in numbered(items):
-        (left_out if index % every else kept).append(item)
+    seen = Counter[Path]()
+    for item in items:
+        (left_out if seen[item.path] % every else kept).append(item)
+        seen[item.path] += 1
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = kept

@@ -304,7 +304,6 @@ def place(tmp_path_factory, shared):
         ["run", "two_joints", "--set", "duration=3", "--no-figures", "--no-recording"],
         ["diagnose", "MEASUREMENT", "--out", "before"],
         ["diagnose", "MEASUREMENT", "--joint", "worn.yaml", "--out", "after"],
-        ["diagnose", "MEASUREMENT", "--out", "diagnosis"],
         ["validate", "MEASUREMENT", "--out", "validation"],
         ["contact", "--hours", "0.05", "--filter", "RAREKF", "--set", "duration=20", "--rate", "400", "--out", "contact"],
         ["joint", "new", "--gear", "CSG-17-80", "--torque-constant", "0.05", "--resistance", "0.3", "--inductance", "3e-4",
@@ -312,6 +311,7 @@ def place(tmp_path_factory, shared):
     ):  # fmt: skip
         done = subprocess.run([sys.executable, "-m", "flexspline", *words], cwd=here, capture_output=True, text=True)
         assert done.returncode == 0, (words, done.stderr)
+    shutil.copytree(here / "before", here / "diagnosis")
     study = {"name": "few", "seeds": {"first": 1, "count": 2}, "scenarios": ["no_load"], "filters": ["RAREKF", "EKF"]}
     (here / "few.yaml").write_text(yaml.safe_dump(study | {"set": {"duration": 3}}), encoding="utf-8")
     done = subprocess.run([sys.executable, "-m", "flexspline", "sweep", "few.yaml", "--out", "sweep"], cwd=here)
@@ -358,7 +358,9 @@ def test_a_benchmark_has_its_options(words, code, text):
     assert done.returncode == code and text in done.stdout + done.stderr
 
 
-LONG = ("diagnosis.md", "accuracy.md", "arms.md", "planning.md", "cluster.md", "estimators.md")
+LONG = (
+    "diagnosis.md", "accuracy.md", "arms.md", "planning.md", "cluster.md", "estimators.md", "package.md", "ur3e.md", "lara8.md",
+)  # fmt: skip
 
 
 @pytest.mark.slow

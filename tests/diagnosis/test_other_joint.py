@@ -14,7 +14,7 @@ from flexspline.models.recording import Measurement
 TURNS = ((0.3, 0.0), (1.3, 0.9), (2.4, -0.9), (3.2, 0.6), (4.2, -0.4), (5.0, 0.8), (6.2, -0.8), (7.5, 0.3))
 
 
-@pytest.mark.fast_every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factors", "said"),
     [

@@ -69,7 +69,7 @@ def compare(folder, scenario, names):
         assert off <= 1e-12, (scenario, name, off)
 
 
-@pytest.mark.fast_every(3)
+@pytest.mark.fast_every(6)  # a paper's filter, and the augmented one
 @pytest.mark.parametrize("name", NAMES)
 def test_header_computes_what_the_step_computes(tmp_path, name):
     compare(tmp_path, "no_load", [name])

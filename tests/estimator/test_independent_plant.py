@@ -44,7 +44,9 @@ def test_a_current_that_oscillates_with_the_sampling_widens_the_variance():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("imperfect", "mean", "worst"), [(False, 0.15, 0.5), (True, 0.3, 0.9)])
+@pytest.mark.parametrize(
+    ("imperfect", "mean", "worst"), [pytest.param(False, 0.15, 0.5, marks=pytest.mark.long), (True, 0.3, 0.9)]
+)
 def test_drawn_joints(imperfect, mean, worst):
     found = ratios(range(40, 50), imperfect)
     assert found[0] < mean and found[1] < worst
