@@ -99,6 +99,17 @@ def test_it_keeps_pace():
     assert written.read()
 
 
+def test_a_stretch_may_have_no_window_of_a_filters_mode():
+    """A fast computer shows two ticks at a time."""
+    run = run_scenario(*load_scenario("no_load", ["duration=1", "transient=0.2", "filters=[RAREKF]"]))
+    stream = rr.RecordingStream("test")
+    written = stream.binary_stream()
+    shown = RunRecording(stream, run, live=True)
+    for first in range(0, 80, 2):
+        shown.send(slice(first, first + 2))
+    assert written.read()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

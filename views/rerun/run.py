@@ -159,7 +159,8 @@ def send_mode(
     stream: rr.RecordingStream, name: str, start: np.ndarray, robust: np.ndarray, color: str, before: bool | None = None
 ) -> None:
     """Send a filter's mode, of `windows`, as a lane: its changes. `before`: whether the window before them was robust."""
-    changes = np.flatnonzero(np.append(before is None or robust[0] != before, robust[1:] != robust[:-1]))
+    previous = np.append(~robust[:1] if before is None else before, robust[:-1])
+    changes = np.flatnonzero(robust != previous)  # none of no window
     if not len(changes):
         return
     path = f"mode/{name}"
