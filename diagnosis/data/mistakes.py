@@ -84,11 +84,11 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     found = _of_samples(moving, joint)
     try:
         recordings = _apply(moving, joint, found)
+        # Skip recordings with few valid samples, if there are others.
+        rest = [r for r, a in zip(recordings, moving, strict=True) if len(r.time) > SETTINGS.valid * len(a.time)]
+        recordings = tuple(rest) or recordings
     except InputError:  # every channel is stuck
         recordings = ()
-    # Skip recordings with few valid samples, if there are others.
-    rest = [r for r, a in zip(recordings, moving, strict=False) if len(r.time) > SETTINGS.valid * len(a.time)]
-    recordings = tuple(rest) or recordings
     further = _of_columns(recordings, joint) if recordings else []
     named = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))
     return tuple(replace(m, severe=m.severe and m.column not in _OPTIONAL) for m in named)
@@ -254,12 +254,11 @@ class _Search:
     """Beam search for the changes that make the channels fit.
 
     Attributes:
-      recordings: of the measurement.
       start: state without changes.
     """
 
     def __init__(self, recordings: Sequence[Recording], joint: Joint):
-        self.recordings, self._joint = tuple(recordings), joint
+        self._recordings, self._joint = tuple(recordings), joint
         self._N, self._p = joint.numbers["N"].value, [joint.record(r.link)[0] for r in recordings]
         self._plausible = [Plausibility(joint, r) for r in recordings]
         self._carried = [r.arm is not None and bool(r.arm.positions) for r in recordings]
@@ -285,7 +284,7 @@ class _Search:
         `found` has the described loads that are then wrong; none if the channels still disagree.
         """
         found, plausible = list[tuple[Mistake, tuple[int, ...]]](), list[Plausibility]()
-        parts = zip(self.recordings, self._plausible, self.start.motions, self.start.fits, strict=True)
+        parts = zip(self._recordings, self._plausible, self.start.motions, self.start.fits, strict=True)
         for i, (r, p, motion, fits) in enumerate(parts):
             torques = [name for name in reversed(DRIVING) if name in fits]
             if motion is None or not torques:
@@ -306,7 +305,7 @@ class _Search:
 
     def fits_a_lighter_drive(self) -> bool:
         """Return whether all channels agree without changes if rotor and friction are much smaller than described."""
-        lighter = [Plausibility(self._joint, r, lighter=True) for r in self.recordings]
+        lighter = [Plausibility(self._joint, r, lighter=True) for r in self._recordings]
         return not any(map(_suspicious, self._agreement(self.start.motions, lighter)))
 
     def best(self) -> _State:
@@ -328,7 +327,7 @@ class _Search:
         touched = m.name == "swapped" or m.column in ("time", GRAVITY)
         if motion is None or not (touched or any(c in motion for c in (m.column, *m.also))):
             return motion
-        r, mine = self.recordings[i], [one for one, having in state.found if i in having]
+        r, mine = self._recordings[i], [one for one, having in state.found if i in having]
         if m.name == "sign" and m.lost:  # from the description
             sign = expected_sign(motion.channels, self._N, self._p[i])
             x = r[m.column] * np.sign(np.interp(r.time - r.time[0], motion.time, sign))

@@ -160,7 +160,7 @@ def send_mode(
 ) -> None:
     """Send a filter's mode, of `windows`, as a lane: its changes. `before`: whether the window before them was robust."""
     previous = np.append(~robust[:1] if before is None else before, robust[:-1])
-    changes = np.flatnonzero(robust != previous)  # none of no window
+    changes = np.flatnonzero(robust != previous)  # none without a window
     if not len(changes):
         return
     path = f"mode/{name}"
