@@ -287,6 +287,7 @@ def _explain(error: Any) -> NoReturn:
         expected = expected.removeprefix(OWN_ERROR).replace("Input should be", "expected", 1)
         expected = expected.split(", unable to parse")[0]
         expected = re.sub(r"^(\S.*) is not one of (.*)$", r"expected one of \2, got \1", expected)
+        expected = re.sub(r"^\S+ is not in the range ", "expected ", expected)  # older versions of Typer
         given = _given(getattr(error, "param", None))
         message = f"{name.strip(chr(39))}: {expected}"
         message += "" if given is None or repr(given) in message else f", got {given!r}"
