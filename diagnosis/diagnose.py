@@ -23,7 +23,7 @@ from .extension import extended
 from .fit import encoder_zero
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.motion_noise import fit_to_averages, without_noise_mean
-from .fit.regions import held_out_regions, shrunk
+from .fit.regions import shrunk, unseen_square
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, with_dispersion
 from .improvement import serves
@@ -92,9 +92,9 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
         problem, final = _corrected(problem, _polished(Fitter(problem), found.best))
         judged = final = _inflated(problem, final)
     else:
-        # The likelihood is the one with the smaller error in held-out regions.
+        # The likelihood is the one with the smaller error on unseen time.
         fits = [(fit(problem, found.best), fit) for fit in (_by_least_squares, _annealed)]
-        judged, again = min(fits, key=lambda one: _unseen(problem, one[0]))
+        judged, again = min(fits, key=lambda one: unseen_square(problem, one[0]))
         judged, final = _inflated(problem, judged), _inflated(problem, again(problem.with_held_out(), found.best))
     progress("regions that a fit has not seen", 0.97)
     no_worse = serves(measurement, joint, conditioned)
@@ -148,41 +148,41 @@ def _search(
         # A slow discrepancy can hold what causes would, with a likelihood as good.
         progress("searching by least squares", 0.9)
         fitter = fitter_in_motion(problem)
-        base = fitter.fit((), encoder_zero.zeroed(problem, problem.start(None, ()), ()))
+        start = fitter.fit((), encoder_zero.zeroed(problem, problem.start(None, ()), ()))
         explorer = Explorer(fitter, offered, deadline=deadline)
-        other = explorer.explore(base, base)
-        if _unseen(problem, other.best) < _unseen(problem, found.best):
+        other = explorer.explore(start, start)
+        if unseen_square(problem, other.best) < unseen_square(problem, found.best):
             found, slow = other, False
     clock = wrong_clock(explorer, found) if time.monotonic() < deadline else None
-    return (found if slow else _serving(problem, explorer, found)), slow, clock
+    return (found if slow else _serving(problem, explorer, found, start)), slow, clock
 
 
 def _with_unknown(problem: Problem, explorer: Explorer, found: Explored, slow: bool) -> Explored:
     """Add an unknown effect to a result, if that is more probable.
 
     Far from the noise the causes found may compensate for one: the calibrated joint is looked at first. With one encoder (not
-    `slow`) it must predict unseen regions better, too.
+    `slow`) it must predict unseen time better, too.
     """
     astray = quiet_rms(problem, found.best) > ANSWER.far and found.best.model
     for at in (found.base, found.best) if astray else (found.best,):
         one = discrepancy.find(explorer.fitter, explorer.posterior(at), found.base, at)
         other = None if one is None else explorer.with_unknown(found, one)
-        if other is not None and (slow or _unseen(problem, other.best) < _unseen(problem, found.best)):
+        if other is not None and (slow or unseen_square(problem, other.best) < unseen_square(problem, found.best)):
             return other
     return found
 
 
-def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
-    """Drop causes from a result as long as held-out regions are predicted as well without them."""
-    best, fitter = found.best, explorer.fitter
+def _serving(problem: Problem, explorer: Explorer, found: Explored, plain: Fit) -> Explored:
+    """Return a result that predicts unseen time no worse than the regression's fit (`plain`), or than with a cause less."""
+    fitter = explorer.fitter
+    error, best = min(((unseen_square(problem, f), f) for f in (found.best, plain)), key=lambda one: one[0])
     if any(not h.free for h in best.model):  # an unknown effect would take the place of any cause
         return found
-    error = _unseen(problem, best)
     while best.model:
         linear = [without(problem, best, i) for i in range(len(best.model))]
         start = min(linear, key=lambda one: one[1])[0]  # the cause of which the data say least
         less = fitter.fit(start.model, start.theta)
-        if (fewer := _unseen(problem, less)) > error:
+        if (fewer := unseen_square(problem, less)) > error:
             break
         best, error = less, fewer
     if best is found.best:
@@ -195,12 +195,6 @@ def _rotor_unknown(problem: Problem, f: Fit) -> bool:
     """Whether a residual may be of the rotor's motion, which neither an encoder nor a torque sensor shows."""
     shown = any(s.rotor_measured or s.has_torque for s in problem.segments)
     return not shown and quiet_rms(problem, f) > ANSWER.far
-
-
-def _unseen(problem: Problem, f: Fit) -> float:
-    """Sum of mean square errors of a fit in held-out regions, of all data without any [N·m]²."""
-    regions = held_out_regions(problem, f)
-    return sum(r.unseen**2 for r in regions) if regions else excess(problem, f)
 
 
 def _offered(problem: Problem, measurement: Measurement) -> list[Hypothesis]:

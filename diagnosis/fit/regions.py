@@ -1,8 +1,8 @@
-"""Error of an extended joint outside the data of its fit: regions of a measurement, each held out of a fit of its own.
+"""Error of an extended joint outside the data of its fit: parts of a measurement, each held out of a fit of its own.
 
-Held-out blocks of time lie between blocks that were fitted. The ends of the range of angle, speed and load, and whole recordings,
-show what happens on other motions: for each the parameters are found again without it (in the linear model about the fit, exact
-to first order), and compared there with the description.
+For each part the parameters are found again without it (in the linear model about the fit, exact to first order). Models are
+compared by their error on `FOLDS` successive stretches of time (`unseen_square`). The ends of the range of angle, speed and load,
+and whole recordings, show what happens on other motions: there a fit is compared with the description (`held_out_regions`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from ...models.joint_parts import ValidRange
 from ..data.segments import BALANCES
+from ..regression import MOVING
 from . import encoder_zero
 from .noise import learn, whiten
 from .residual import Problem
@@ -23,6 +24,7 @@ from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_we
 END = 0.2  # share of the samples at an end of a range
 FEWEST = 20  # samples in motion that a region must have
 WORSE = 1.05  # ratio of errors from which a joint is worse than another
+FOLDS = 5  # stretches of time of a cross-validation
 MOST = 2.0  # largest ratio of RMS errors in a region, extended without it over described, of a joint that is written
 SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)  # of the way from the description to the fit that are tried
 
@@ -111,7 +113,7 @@ class Shrunk:
 
 
 def shrunk(problem: Problem, f: Fit, accepts: Callable[[Fit], bool]) -> Shrunk:
-    """Shrink a fit towards the description to the least error in held-out regions, the sum of their mean squares [N·m]².
+    """Shrink a fit towards the description to the least error on time that it has not seen (`unseen_square`).
 
     A fit that makes one region `MOST` times worse than the description is not written.
 
@@ -140,10 +142,10 @@ def shrunk(problem: Problem, f: Fit, accepts: Callable[[Fit], bool]) -> Shrunk:
         return at, held_out_regions(problem, at, system, share, before, replayed=True)
 
     shares = list(SHARES) if seen else [0.0]  # without a held-out region nothing is written
-    if worst is not None:
-        regions = {share: part(share)[1] for share in shares}
-        harmless = [s for s in shares if s == 0.0 or all(r.ratio <= MOST for r in regions[s])]
-        shares = sorted(harmless, key=lambda s: sum(r.unseen**2 for r in regions[s]))
+    if seen:
+        parts = {share: part(share) for share in shares}
+        harmless = [s for s in shares if s == 0.0 or all(r.ratio <= MOST for r in parts[s][1])]
+        shares = sorted(harmless, key=lambda s: unseen_square(problem, parts[s][0], system, s))
     refused = False
     for share in shares:
         at, found = part(share)
@@ -151,6 +153,32 @@ def shrunk(problem: Problem, f: Fit, accepts: Callable[[Fit], bool]) -> Shrunk:
             break
         refused = True
     return Shrunk(share, at, found, refused, worst)
+
+
+def unseen_square(problem: Problem, f: Fit, system: NormalEquations | None = None, share: float = 1.0) -> float:
+    """Return the mean square error in motion [N·m]² on `FOLDS` successive stretches of time, each by a fit without it, summed
+    over the balances (blocked cross-validation); `system`, `share`: as of `held_out_regions`."""
+    system = NormalEquations(problem, f) if system is None else system
+    least = least_speed(problem)
+    use = [(s.usable | s.held_out) & (np.abs(s.state[:, 3]) > least)[:, None] for s in problem.segments]
+    moving = [u.any(axis=1) for u in use]
+    count = np.cumsum([0, *(m.sum() for m in moving)])
+    if count[-1] < FEWEST * FOLDS:
+        use = [s.usable for s in problem.segments]
+        return float(np.nansum(_rms(f.point.residual, use, problem.output_scale) ** 2))
+    fold = [FOLDS * (n + np.cumsum(m)) // (count[-1] + 1) for n, m in zip(count, moving, strict=False)]
+    unseen = [r.copy() for r in f.point.residual]
+    for k in range(FOLDS):
+        masks = [at == k for at in fold]
+        shift = share * system.without(masks)
+        for r, J, mask in zip(unseen, f.jacobian, masks, strict=True):
+            r[mask] += J[mask] @ shift
+    return float(np.nansum(_rms(unseen, use, problem.output_scale) ** 2))
+
+
+def least_speed(problem: Problem) -> float:
+    """Return the speed [rad/s] of the link from which a regression uses samples: below, friction is undefined."""
+    return MOVING * float(np.quantile(np.concatenate([np.abs(s.state[:, 3]) for s in problem.segments]), 0.98))
 
 
 def held_out_regions(

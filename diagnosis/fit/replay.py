@@ -284,7 +284,9 @@ def _transmission(p, given, begin, end, moving, inner):
                 al1 = link_change / h
                 vl = vl_middle
             theta_w += h * w_middle
+            # Such a step leaves an alternation of velocity, too: at its end a light wave generator slips as in its middle.
             w += change
+            w -= unresolved * (w - vm1 - w_middle + vm)
             if not abs(w) < _RUNAWAY:  # parameters beyond reason: give up on the segment
                 return False
             z = laws.bristle_step(z, w_middle, g, h, p)

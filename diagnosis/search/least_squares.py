@@ -15,9 +15,10 @@ import numpy as np
 from ..data.segments import Segment
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
+from ..fit.regions import least_speed
 from ..fit.residual import Model, Problem
 from ..fit.solver import Fit, Fitter
-from ..regression import MOVING, Regression
+from ..regression import Regression
 from .posterior import dispersion
 
 CAUSES = {
@@ -67,9 +68,8 @@ def regression_fit(problem: Problem, offered: Sequence[Hypothesis], found: Seque
 
 
 def fitter_in_motion(problem: Problem) -> Fitter:
-    """Return a least-squares fitter of the samples that a regression uses: friction is undefined at rest and at reversals."""
-    speed = np.concatenate([np.abs(s.state[:, 3]) for s in problem.segments])
-    least = MOVING * float(np.quantile(speed, 0.98))
+    """Return a least-squares fitter of the samples that a regression uses."""
+    least = least_speed(problem)
 
     def moving(s: Segment) -> Segment:
         fast = (np.abs(s.state[:, 3]) > least)[:, None]
