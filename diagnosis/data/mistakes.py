@@ -116,10 +116,14 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     if end.found and start.disagrees and search.fits_a_lighter_drive():
         # Rules for a larger gear may have filled rotor and friction: a doubt, no reason to refuse the data.
         found = [m if m.column in end.lost else replace(_unsure(m), severe=False) for m in found]
-    if all("encoders" not in one for one in start.fits):
-        found, late = [*late, *found], []  # only torques show a time offset
+    if all("encoders" not in one for one in start.fits):  # only torques show a time offset
+        if late and end.found and not late_columns(_apply(recordings, joint, found), joint):
+            late = []  # their unit, or a lost sign, looked like one
+        found, late = [*late, *found], []
     if end.lost and end.lost >= {name for r in recordings for name in DRIVING if name in r}:
         found = [m if m.column in end.lost else _unsure(m) for m in found]  # a magnitude alone judges no other column
+    if search.has_another_scale(end):  # per cent of a rated current, counts of a converter, …
+        found = [_unsure(m) if m.name == "unit" and m.column in (*DRIVING, "time") else m for m in found]
     load = search.with_another_load() if end.found or start.disagrees else None
     if load is not None and load.score > end.score - SETTINGS.beyond:
         found = [m if m.name in _OF_LOAD or m.column == GRAVITY else _unsure(m) for m in found]
@@ -302,6 +306,19 @@ class _Search:
         agreement = self._agreement(self.start.motions, plausible)
         state = _State(self.start.motions, agreement, tuple(found), SETTINGS.beyond * len(agreement))
         return state if state.worst > SETTINGS.wrong else replace(state, found=())
+
+    def has_another_scale(self, state: _State) -> bool:
+        """Return whether the only torque channel needs both numbers of each described load larger, or both smaller.
+
+        With another clock any inertia fits.
+        """
+        found, clock = [], any(m.column == "time" for m, _ in state.found)
+        for p, motion, fits in zip(self._plausible, state.motions, state.fits, strict=True):
+            torques = [name for name in DRIVING if name in fits]
+            if motion is not None and len(torques) == 1 and p.mounting.gravity_moment > 0.0:
+                ratios = p.load_ratios(motion, torques[0])[int(clock) :]
+                found.append(max(ratios) < 1 / AGREEMENT.scale or min(ratios) > AGREEMENT.scale)
+        return bool(found) and all(found)
 
     def fits_a_lighter_drive(self) -> bool:
         """Return whether all channels agree without changes if rotor and friction are much smaller than described."""

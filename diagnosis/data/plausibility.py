@@ -50,6 +50,7 @@ class AgreementSettings:
     inertia: tuple[float, float] = (0.5, 2.4)  # likewise
     friction: tuple[float, float] = (0.2, 8.0)  # likewise
     viscous: tuple[float, float] = (0.0, 10.0)  # likewise
+    scale: float = 1.5  # ratio of both numbers of a load to the described ones from which a torque has another scale
     noise: float = 0.04  # least ratio of a torque's residual to its spread
     suspicious: float = -0.15  # misfit below which channels disagree
     sharpest: float = 0.2  # least residual over the expected one that adds information
@@ -349,6 +350,11 @@ class Plausibility:
                 "gravity_angle": self.mounting.gravity_angle + math.atan2(across, along),
             }
         )
+
+    def load_ratios(self, motion: SmoothedChannels, name: str) -> tuple[float, float]:
+        """Return inertia (the rotor's included) and gravity moment that fit a torque channel best, over the described ones."""
+        inertia, along, across = self.torque(motion, name, free=True).coefficients[:3]
+        return float(inertia), math.hypot(along, across) / self.mounting.gravity_moment
 
     def unlike(self, load: Mounting) -> str:
         """Return in words the described numbers that are wrong by more than a few times if a load is correct; empty if none."""

@@ -68,6 +68,24 @@ def test_a_hidden_mistake_is_named_at_any_rate(label):
     assert tried and sum(named) >= 0.6 * tried, (label, named)
 
 
+def test_a_torque_of_unknown_scale_is_a_question():
+    """Per mille of a rated current, logged as a current or a torque, is no known unit: it was "N·m at the output" or "mA" at 1."""
+    rng, told = np.random.default_rng(17), []
+    for seed in range(3400, 3430):
+        log, joint = wide(seed)
+        (r,) = log.recordings
+        if "motor_current" not in r or "joint_torque" in r or "motor_torque" in r:
+            continue
+        scale = 1000 / (joint.numbers["current_limit"].value * rng.uniform(0.2, 1.0))
+        columns = {**r.columns, "motor_current": np.round(scale * r["motor_current"])}
+        found = find_mistakes(replace(log, recordings=(replace(r, columns=columns),)), joint)
+        units = [m for m in found if m.name == "unit" and m.column == "motor_current" and m.confidence > 0.5]
+        told += [
+            (log.name, m.description, m.factor * scale) for m in units if not 0.4 < m.factor * scale < 2.5
+        ]  # a load may be off by 2
+    assert len(told) <= 1, told
+
+
 @pytest.mark.slow
 def test_a_load_of_another_inertia_is_no_claim_of_a_wrong_clock():
     """One encoder does not tell them apart, unless the inertia is less than the rotor's. Both are listed."""
