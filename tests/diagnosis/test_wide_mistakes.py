@@ -69,7 +69,7 @@ def test_a_hidden_mistake_is_named_at_any_rate(label):
 
 
 def test_a_torque_of_unknown_scale_is_a_question():
-    """Per mille of a rated current, logged as a current or a torque, is no known unit: it was "N·m at the output" or "mA" at 1."""
+    """Per mille of a rated current, logged as a current, is no known unit: it was "N·m at the output" or "mA" at 1."""
     rng, told = np.random.default_rng(17), []
     for seed in range(3400, 3430):
         log, joint = wide(seed)
