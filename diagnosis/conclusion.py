@@ -46,7 +46,7 @@ class Conclusion:
       found: result of the search.
       judged: the final model, fitted without the held-out blocks.
       final: the same; with one encoder fitted to the held-out blocks too.
-      shrunk: `final`, shrunk towards the description as far as held-out regions require.
+      shrunk: `final`, shrunk towards the description as far as held-out data require.
       missing: causes that this measurement cannot show at ordinary size, with the reason.
       undetermined: these and other undetectable causes, with the reason.
       alike: pairs of confounded causes.

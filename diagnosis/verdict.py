@@ -169,7 +169,7 @@ def _why_shrunk(conclusion: Conclusion) -> list[str]:
     elif shrunk.share == 0.0:
         why = "the extended joint is worse than the description on held-out data"
     else:
-        why = "the extended joint is worse than the description in a held-out region"
+        why = "the whole fit is worse on held-out data"
     if shrunk.worst is not None and not shrunk.refused:
         why += f" ({shrunk.worst.name}: {shrunk.worst.ratio:.2g} times)"
     if shrunk.share:

@@ -34,7 +34,7 @@ READ = ("motor_position", "link_position", "motor_current", "joint_torque", "ext
 """Channels whose repeats and noise are measured."""
 FEWEST = 200  # fewest changes of a reading for a statement on its steps
 GRAVITY_ANGLE = 0.05  # standard deviation of the direction of gravity [rad], 3°: of zero points and the centre of mass
-STRIBECK = 2.0  # least tolerance of the Stribeck velocity, a factor of 3: no data sheet states it
+STRIBECK = 2.0  # least tolerance of a Stribeck velocity by rule, a factor of 3: no data sheet states it
 _NEAR = 20  # largest change that is used [steps]
 _OFF = 0.1  # largest deviation from a whole number of steps [steps]
 _SHARE = 0.98  # least share of changes that are whole numbers of steps
@@ -140,8 +140,8 @@ def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[s
     """Return the joint with sensors as coarse as a log's readings, and with what nobody knows exactly about a joint.
 
     The torque of an arm's other links has the tolerance of the gravity moment, and the direction of gravity a deviation of
-    `GRAVITY_ANGLE`, unless the description has its own. A Stribeck velocity that was not measured has at least the tolerance
-    `STRIBECK`.
+    `GRAVITY_ANGLE`, unless the description has its own. With one encoder, a Stribeck velocity that a rule of `joint new` filled
+    has at least the tolerance `STRIBECK`.
     Columns in `wrong`, for example in another unit, are ignored.
     """
     changed: dict[str, Any] = {}
@@ -158,7 +158,8 @@ def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[s
         arm = gravity.model_copy(update={"value": 1.0, "nominal": None, "std": None})
         update["link_tolerances"] = joint.link_tolerances | {"arm": arm}
     speed = joint.numbers["vs"]
-    if speed.std is None and speed.tolerance < STRIBECK:
+    both = any(set(POSITIONS) <= set(r.columns) for r in recordings)
+    if not both and speed.source.startswith("rule") and speed.std is None and speed.tolerance < STRIBECK:
         update["numbers"] = joint.numbers | {"vs": speed.model_copy(update={"tolerance": STRIBECK})}
     if joint.gravity_angle is None:
         source = "how well people know where zero and the load's centre of mass are"
