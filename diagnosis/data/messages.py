@@ -102,6 +102,8 @@ class Messages(Log):
             notes = [
                 f"most stamps were there before ({', '.join(coarse)}): times are those at which messages were logged"
             ]
+        if alone := [topic for topic, (table, *_) in found.items() if len(table[STAMP]) < 2]:
+            raise InputError(f"{self.path}: topic {alone[0]}: expected messages at different times, got all at one")
         dropped = [f"{again} of {count} messages of {topic}" for topic, (_, again, count) in found.items() if again]
         notes += [f"{', '.join(dropped)} are left out, as their time was there before"] if dropped else []
         self.note = "; ".join(notes)
@@ -141,9 +143,9 @@ class Messages(Log):
         stamps = np.array(one.times, dtype=np.int64)
         whole = np.all([np.ones(len(stamps), bool), *(np.isfinite(values) for values in columns.values())], axis=0)
         times, rows = np.unique(stamps[whole], return_index=True)
-        if len(times) < 2:
-            raise InputError(f"{self.path}: topic {topic}: expected messages with {', '.join(names)}, got {len(times)}")
         count = int(np.count_nonzero(whole))
+        if count < 2:
+            raise InputError(f"{self.path}: topic {topic}: expected messages with {', '.join(names)}, got {count}")
         return (
             {STAMP: times, **{name: values[whole][rows] for name, values in columns.items()}},
             count - len(times),

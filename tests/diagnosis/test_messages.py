@@ -231,9 +231,9 @@ def test_a_bag_of_ros_1(tmp_path):
     np.testing.assert_allclose(recording["joint_torque"], 0.05 * motor(k), rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize(("period", "most"), [(5, True), (2, False)])
+@pytest.mark.parametrize(("period", "most"), [(5, True), (N, True), (2, False)])
 def test_stamps_that_were_there_before_are_counted(tmp_path, monkeypatch, period, most):
-    """A coarse clock stamps several messages alike: some are left out, and where most would be, the time of logging is used."""
+    """A coarse clock, or none, stamps messages alike: some are left out; where most would be, the time of logging is used."""
 
     def coarse() -> Iterable[tuple[str, int, bytes]]:
         for k in range(N):
