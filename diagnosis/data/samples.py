@@ -77,7 +77,7 @@ def wrong_samples(recording: Recording, joint: Joint) -> list[Mistake]:
             continue
         if name in (*_ANGLES, *DRIVING):
             turns = _turns(name, joint) if name in _ANGLES else ()
-            wrapped(name, *_within_a_turn(time, columns[name], (*_registers(columns[name]), *turns)))
+            wrapped(name, *_within_a_turn(time, columns[name], (*_registers(columns[name], name in _ANGLES), *turns)))
         steps, glitches = _Steps(time, columns[name]), set[int]()
         while more := set(_glitches(steps, name, columns)) - glitches:  # large ones mask smaller ones
             glitches |= more
@@ -352,19 +352,17 @@ def _within_a_turn(time: np.ndarray, x: np.ndarray, turns: tuple[float, ...]) ->
     return np.empty(0, int), 0.0
 
 
-def _registers(x: np.ndarray) -> tuple[float, ...]:
-    """Return possible ranges of a register of 16 or 32 bits, in the unit of a column without negative values."""
-    if float(x.min()) < 0.0:
-        return ()
-    values, extent = np.unique(x), float(np.ptp(x))
-    if len(values) < 16:
+def _registers(x: np.ndarray, angle: bool) -> tuple[float, ...]:
+    """Return possible ranges of a register of 16 or 32 bits, in a column's unit; a torque with negative values is in none."""
+    values, extent, signed = np.unique(x), float(np.ptp(x)), float(x.min()) < 0.0
+    if len(values) < 16 or (signed and not angle):
         return ()
     # There is a gap between small values and wrapped negative ones.
     apart = np.diff(values)
     k = int(np.argmax(apart))
     high = x > values[k]
     step = float(apart.min())
-    if apart[k] < 0.5 * extent or min(np.count_nonzero(high), np.count_nonzero(~high)) < SETTINGS.flat:
+    if signed or apart[k] < 0.5 * extent or min(np.count_nonzero(high), np.count_nonzero(~high)) < SETTINGS.flat:
         return (2.0**16 * step, 2.0**32 * step)  # an angle goes through all of it
     for part in (values[: k + 1] - values[0], values[k + 1 :] - values[k + 1], values - values[0]):
         whole = np.round(part / step)

@@ -123,6 +123,28 @@ def test_an_effort_that_is_a_current_becomes_one():
     assert found.factor == pytest.approx(6.03)
 
 
+def test_a_signed_register_of_motor_counts_alone_is_unwrapped():
+    """16 bits of 4096 counts a turn, ± 8 turns: "no mistakes" before."""
+    rng, tried = np.random.default_rng(23), 0
+    for seed in range(3500, 3560):
+        log, joint = wide(seed)
+        (r,) = log.recordings
+        if "motor_position" not in r or np.ptp(r["motor_position"]) < 120.0:
+            continue
+        count = 2 * np.pi / 4096
+        counts = np.round(r["motor_position"] / count) + rng.integers(-(2**15), 2**15)
+        columns = {name: x for name, x in r.columns.items() if name not in ("link_position", "position_command")}
+        columns["motor_position"] = count * ((counts + 2**15) % 2**16 - 2**15)
+        if np.max(np.abs(np.diff(counts))) > 2**13 or np.ptp(columns["motor_position"]) < 0.95 * 2**16 * count:
+            continue
+        found = find_mistakes(replace(log, recordings=(replace(r, columns=columns),)), joint)
+        wrapped = [m for m in found if m.name == "wrapped"]
+        print(log.name, found)
+        assert [m.column for m in wrapped] == ["motor_position"] and wrapped[0].factor == pytest.approx(2**16 * count)
+        tried += 1
+    assert tried > 3
+
+
 def test_a_register_of_16_bits_is_signed_again(tmp_path):
     r = recording()
     count = 0.00269
