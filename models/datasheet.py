@@ -321,7 +321,7 @@ _RULES: dict[str, _Rule] = {
     ),
     "Fs": (lambda g, v: g.starting_torque, 0.1, "CATALOGUE, starting torque of the component set, without seals"),
     "Fc": (lambda g, v: 0.8 * v["Fs"], 0.0, "0.8 Fs, the test joint's proportion"),
-    "vs": (lambda g, v: 2.0, _FACTOR_3, "the test joint's; other joints differ by several times"),
+    "vs": (lambda g, v: 2.0, _TYPICAL, "the test joint's"),
     "s0": (lambda g, v: v["Fc"] / 1.8e-3, _TYPICAL, "Fc / 1.8 mrad, the test joint's presliding"),
     "s1": (lambda g, v: 1e-3 * v["s0"], _TYPICAL, "s0 · 1 ms, the test joint's proportion"),
     "bw": (lambda g, v: v["Fc"] / 200, _FACTOR_3, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"),

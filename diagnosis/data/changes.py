@@ -15,7 +15,6 @@ import numpy as np
 
 from ...models.joint import Joint
 from ...models.signals import DRIVING, POSITIONS
-from .plausibility import SETTINGS as AGREEMENT
 from .plausibility import Plausibility, RelationFit, SmoothedChannels
 
 
@@ -296,7 +295,7 @@ class Table:
                 yield _unit(column, said, factor)
         if "joint_torque" in there and not there & {"motor_current", "motor_torque"}:
             effort = Mistake("unit", "joint_torque", "", "", 0.99, price=price + free)
-            if abs(math.log(N * Kt)) > math.log(AGREEMENT.scale):
+            if abs(math.log(N * Kt)) > math.log(SETTINGS.least_factor):
                 said = "a motor current in A, logged as a torque in N·m"
                 yield replace(effort, description=said, factor=N * Kt, becomes="motor_current")
             said = "the drive's torque at the output, with friction, logged as a sensor's torque"
