@@ -141,14 +141,12 @@ def shrunk(problem: Problem, f: Fit, accepts: Callable[[Fit], bool]) -> Shrunk:
         )  # fmt: skip
         return at, held_out_regions(problem, at, system, share, before, replayed=True)
 
-    shares = list(SHARES) if seen else [0.0]  # without a held-out region nothing is written
-    if seen:
-        parts = {share: part(share) for share in shares}
-        harmless = [s for s in shares if s == 0.0 or all(r.ratio <= MOST for r in parts[s][1])]
-        shares = sorted(harmless, key=lambda s: unseen_square(problem, parts[s][0], system, s))
+    shares = SHARES if seen else (0.0,)  # without a held-out region nothing is written
+    parts = {share: part(share) for share in shares}
+    harmless = [s for s in parts if s == 0.0 or all(r.ratio <= MOST for r in parts[s][1])]
     refused = False
-    for share in shares:
-        at, found = part(share)
+    for share in sorted(harmless, key=lambda s: unseen_square(problem, parts[s][0], system, s)):
+        at, found = parts[share]
         if share == 0.0 or accepts(at):
             break
         refused = True
