@@ -21,10 +21,10 @@ from .noise import learn, whiten
 from .residual import Problem
 from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_weight
 
-END = 0.2  # share of the samples that is held out at once: at an end of a range, a stretch of time
+FOLDS = 10  # parts of a measurement: stretches of time of a cross-validation
+END = 2 / FOLDS  # share of the samples at an end of a range, two parts
 FEWEST = 20  # samples in motion that a region must have
 WORSE = 1.05  # ratio of errors from which a joint is worse than another
-FOLDS = round(1 / END)  # stretches of time
 MOST = 2.0  # largest ratio of RMS errors in a region, extended without it over described, of a joint that is written
 SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)  # of the way from the description to the fit that are tried
 
