@@ -122,12 +122,13 @@ class Hypothesis:
         return low, high
 
     def at_bound(self, u: np.ndarray) -> bool:
-        """Return whether a size is at the bound of the cause's parameters."""
+        """Return whether a size is at the bound of the cause's parameters. At zero a part of the effect is absent."""
         if self.polar:
             amplitude = self.free[0]
             return self.values(u)[amplitude.name] >= amplitude.bounds[1]
         low, high = (limit[self.magnitudes] for limit in self.limits)
-        return bool(np.any((u[self.magnitudes] <= low + 1e-6) | (u[self.magnitudes] >= high - 1e-6)))
+        present = np.array([self.free[i].bounds[0] != 0.0 for i in self.magnitudes], bool)
+        return bool(np.any((present & (u[self.magnitudes] <= low + 1e-6)) | (u[self.magnitudes] >= high - 1e-6)))
 
     def confine(self, u: np.ndarray) -> np.ndarray:
         """Return coordinates within their limits."""
