@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,7 @@ class Shrunk:
       share: of the way from the description to the fit.
       fit: there; its covariance includes the rest of the way.
       regions: with it.
-      refused: whether a larger share, with which no region is worse, was not accepted.
+      refused: whether a share with a smaller error was not accepted.
       worst: region in which the whole fit is worst, if that is why it was shrunk.
     """
 
@@ -157,20 +158,11 @@ def unseen_square(problem: Problem, f: Fit, system: NormalEquations | None = Non
     """Return the mean square error in motion [N·m]² on `FOLDS` successive stretches of time, each by a fit without it, summed
     over the balances (blocked cross-validation); `system`, `share`: as of `held_out_regions`."""
     system = NormalEquations(problem, f) if system is None else system
-    least = least_speed(problem)
-    use = [(s.usable | s.held_out) & (np.abs(s.state[:, 3]) > least)[:, None] for s in problem.segments]
-    moving = [u.any(axis=1) for u in use]
-    count = np.cumsum([0, *(m.sum() for m in moving)])
-    if count[-1] < FEWEST * FOLDS:
-        use = [s.usable for s in problem.segments]
-        return float(np.nansum(_rms(f.point.residual, use, problem.output_scale) ** 2))
-    fold = [FOLDS * (n + np.cumsum(m)) // (count[-1] + 1) for n, m in zip(count, moving, strict=False)]
+    use, stretches = system.stretches
     unseen = [r.copy() for r in f.point.residual]
-    for k in range(FOLDS):
-        masks = [at == k for at in fold]
-        shift = share * system.without(masks)
+    for masks, shift in stretches:
         for r, J, mask in zip(unseen, f.jacobian, masks, strict=True):
-            r[mask] += J[mask] @ shift
+            r[mask] += J[mask] @ (share * shift)
     return float(np.nansum(_rms(unseen, use, problem.output_scale) ** 2))
 
 
@@ -197,10 +189,7 @@ def held_out_regions(
     system = NormalEquations(problem, f) if system is None else system
     described = encoder_zero.described(problem) if described is None else described
     scale = problem.output_scale
-    moving = [(s.usable & ~s.at_rest[:, None]).any(axis=1) for s in problem.segments]
-
-    def count(where: list[np.ndarray]) -> int:
-        return int(sum(u.any(axis=1).sum() for u in where))
+    parts = [(name, where, share * shift) for name, where, shift in system.regions]
 
     def region(name: str, where: list[np.ndarray], unseen: Columns) -> Region:
         before, seen, after, noise = (
@@ -211,17 +200,8 @@ def held_out_regions(
         floor = np.nansum(noise**2)
         ratio = float(np.sqrt((np.nansum(after**2) + floor) / max(np.nansum(before**2) + floor, 1e-300)))
         shown = [float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after)]
-        return Region(name, name.startswith("recording "), count(where), shown[0], shown[1], shown[2], ratio)
+        return Region(name, name.startswith("recording "), _count(where), shown[0], shown[1], shown[2], ratio)
 
-    parts = []  # of each region its name, its residuals in motion, and the shift of the unknowns without it
-    for name, masks in region_masks(problem).items():
-        where = [
-            (s.usable | s.held_out) & ~s.at_rest[:, None] & mask[:, None]
-            for s, mask in zip(problem.segments, masks, strict=True)
-        ]
-        rest = int(sum((x & ~m).sum() for x, m in zip(moving, masks, strict=True)))
-        if count(where) >= FEWEST and rest >= FEWEST:
-            parts.append((name, where, share * system.without(masks)))
     found = [
         region(name, where, [r + J @ shift for r, J in zip(f.point.residual, f.jacobian, strict=True)])
         for name, where, shift in parts
@@ -234,6 +214,10 @@ def held_out_regions(
     return tuple(sorted(found, key=lambda r: -r.ratio))
 
 
+def _count(where: list[np.ndarray]) -> int:
+    return int(sum(u.any(axis=1).sum() for u in where))
+
+
 def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndarray:
     """Root mean square over samples in use by balance [N·m at the output], shape (len(BALANCES),); NaN where there are none."""
     total, count = np.zeros(len(BALANCES)), np.zeros(len(BALANCES))
@@ -244,7 +228,13 @@ def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndar
 
 
 class NormalEquations:
-    """Normal equations about a fit, for solutions without some of their rows."""
+    """Normal equations about a fit, for solutions without some of their rows.
+
+    Attributes:
+      stretches: samples in use of a cross-validation, and of each stretch of time its samples and the shift of the unknowns
+        without it; none if there is too little motion.
+      regions: of each region its name, its residuals in motion, and the shift of the unknowns without it.
+    """
 
     def __init__(self, problem: Problem, f: Fit):
         self.problem, self.f = problem, f
@@ -271,6 +261,32 @@ class NormalEquations:
             inside += [blocks] * len(BALANCES)
         kept = ~np.concatenate(inside)
         return self._solve(kept) - self.reference
+
+    @cached_property
+    def stretches(self) -> tuple[list[np.ndarray], list[tuple[list[np.ndarray], np.ndarray]]]:
+        segments, least = self.problem.segments, least_speed(self.problem)
+        use = [(s.usable | s.held_out) & (np.abs(s.state[:, 3]) > least)[:, None] for s in segments]
+        moving = [u.any(axis=1) for u in use]
+        count = np.cumsum([0, *(m.sum() for m in moving)])
+        if count[-1] < FEWEST * FOLDS:
+            return [s.usable for s in segments], []
+        fold = [FOLDS * (n + np.cumsum(m)) // (count[-1] + 1) for n, m in zip(count, moving, strict=False)]
+        each = [[at == k for at in fold] for k in range(FOLDS)]
+        return use, [(masks, self.without(masks)) for masks in each]
+
+    @cached_property
+    def regions(self) -> list[tuple[str, list[np.ndarray], np.ndarray]]:
+        segments, found = self.problem.segments, []
+        moving = [(s.usable & ~s.at_rest[:, None]).any(axis=1) for s in segments]
+        for name, masks in region_masks(self.problem).items():
+            where = [
+                (s.usable | s.held_out) & ~s.at_rest[:, None] & mask[:, None]
+                for s, mask in zip(segments, masks, strict=True)
+            ]
+            rest = int(sum((x & ~m).sum() for x, m in zip(moving, masks, strict=True)))
+            if _count(where) >= FEWEST and rest >= FEWEST:
+                found.append((name, where, self.without(masks)))
+        return found
 
 
 def valid_range(problem: Problem, kept: Sequence[np.ndarray] | None = None) -> ValidRange | None:
