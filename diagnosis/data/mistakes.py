@@ -122,8 +122,9 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
         found, late = [*late, *found], []
     if end.lost and end.lost >= {name for r in recordings for name in DRIVING if name in r}:
         found = [m if m.column in end.lost else _unsure(m) for m in found]  # a magnitude alone judges no other column
-    if search.has_another_scale(end):  # per cent of a rated current, counts of a converter, …
-        found = [_unsure(m) if m.name == "unit" and m.column in (*DRIVING, "time") else m for m in found]
+    units = [m for m in found if m.name == "unit" and m.column in (*DRIVING, "time")]
+    if units and search.has_another_scale(end):  # per cent of a rated current, counts of a converter, …
+        found = [_unsure(m) if m in units else m for m in found]
     load = search.with_another_load() if end.found or start.disagrees else None
     if load is not None and load.score > end.score - SETTINGS.beyond:
         found = [m if m.name in _OF_LOAD or m.column == GRAVITY else _unsure(m) for m in found]
@@ -254,6 +255,11 @@ class _Tried:
         return _suspicious(self.before) and not _suspicious(self.after)
 
 
+def _off_alike(ratios: Sequence[float], times: float) -> bool:
+    """Return whether all ratios are above a factor, or all below its inverse."""
+    return max(ratios) < 1 / times or min(ratios) > times
+
+
 class _Search:
     """Beam search for the changes that make the channels fit.
 
@@ -299,7 +305,7 @@ class _Search:
             # A sensor in another unit contradicts the load alone; a single one makes both its numbers larger, or smaller.
             pairs = ((link.inertia, r.link.inertia), (link.gravity_moment, r.link.gravity_moment))
             ratios = [fitted / max(described, 1e-12) for fitted, described in pairs]
-            unit = len(torques) == 1 and (max(ratios) < 1 / SETTINGS.few or min(ratios) > SETTINGS.few)
+            unit = len(torques) == 1 and _off_alike(ratios, SETTINGS.few)
             contradicted = r.load is None and not unit and all(fits[name].suspicious for name in torques)
             if contradicted and (text := p.unlike(link)):
                 found.append((Mistake("load", "link", r.name, text, 0.0, lost=True), (i,)))
@@ -316,8 +322,7 @@ class _Search:
         for p, motion, fits in zip(self._plausible, state.motions, state.fits, strict=True):
             torques = [name for name in DRIVING if name in fits]
             if motion is not None and len(torques) == 1 and p.mounting.gravity_moment > 0.0:
-                ratios = p.load_ratios(motion, torques[0])[int(clock) :]
-                found.append(max(ratios) < 1 / AGREEMENT.scale or min(ratios) > AGREEMENT.scale)
+                found.append(_off_alike(p.load_ratios(motion, torques[0])[int(clock) :], AGREEMENT.scale))
         return bool(found) and all(found)
 
     def fits_a_lighter_drive(self) -> bool:
