@@ -62,6 +62,7 @@ class Fit:
       covariance: of the unknowns (Laplace), shape (n, n).
       log_evidence: Laplace approximation of the log marginal likelihood, up to a constant of the measurement.
       least_covariance: lower bound of the covariance where not only noise is unknown; None for none.
+      weight: of the rows by leverage, shape (total,), with which its evidence is computed.
     """
 
     model: Model
@@ -73,6 +74,7 @@ class Fit:
     covariance: np.ndarray = field(repr=False)
     log_evidence: float
     least_covariance: np.ndarray | None = field(default=None, repr=False)
+    weight: np.ndarray | None = field(default=None, repr=False)
 
 
 def evaluate_point(problem: Problem, theta: np.ndarray, model: Model) -> Point:
@@ -268,8 +270,13 @@ def normal_equations(
     point: Point,
     jacobian: Columns,
     noise_jacobian: Columns | None,
+    weight: np.ndarray | None = None,
 ) -> Normal:
-    """Return the normal equations of the posterior, without the noise's share if its derivatives are given."""
+    """Return the normal equations of the posterior, without the noise's share if its derivatives are given.
+
+    Args:
+      weight: of the rows by leverage; by default that of these derivatives.
+    """
     curvature = 1 / problem.spread(model) ** 2
     white = whiten(problem.segments, noise, point.residual, jacobian)
     common = slice(1, problem.size + 1)
@@ -277,7 +284,8 @@ def normal_equations(
     if noise_jacobian is not None:
         rows = whiten(problem.segments, noise, point.noise, noise_jacobian).rows
         noise_r = rows[:, 0]
-    weight = leverage_weight(white.rows[:, common], None if rows is None else rows[:, common])
+    if weight is None:
+        weight = leverage_weight(white.rows[:, common], None if rows is None else rows[:, common])
     information, g = products(white.rows, weight)
     g = g + curvature * theta
     share = np.zeros_like(information)
@@ -385,8 +393,8 @@ class Fitter:
         Args:
           near: a fit whose derivatives in the common unknowns, and in shared effects, serve.
           renew: whether derivatives in the common unknowns are renewed as the fit moves far; default: without `near`.
-          reference: the fit to compare with: sensor noise and disturbance at rest are taken from it. Otherwise residuals at
-            rest, where friction may be anything, would decide.
+          reference: the fit to compare with: sensor noise, disturbance at rest and weights of the rows are taken from it.
+            Otherwise residuals at rest, where friction may be anything, and rows of extreme leverage would decide.
         """
         problem, segments = self.problem, self.problem.segments
         low, high = problem.bounds(model)
@@ -398,9 +406,9 @@ class Fitter:
             theta = 0.5 * (theta + np.clip(problem.start(None, model), low, high))
             residual = problem.residuals([theta], [model])[0]
         if reference is None:
-            replicates, rest = replicate_noise(problem, theta, model, residual), None
+            replicates, rest, weight = replicate_noise(problem, theta, model, residual), None, None
         else:
-            replicates, rest = reference.point.noise, reference.noise.rest
+            replicates, rest, weight = reference.point.noise, reference.noise.rest, reference.weight
         sensed = sensor_noise(segments, replicates)
         fresh, damping = near is None, 0.0
         renew = near is None if renew is None else renew
@@ -410,7 +418,7 @@ class Fitter:
                 derivatives.renew_common()
             jacobian = derivatives.of_all(theta)
             noise = learn(segments, residual, replicates, problem.quantum(), None, self.bands, sensed, rest)
-            normal = normal_equations(problem, noise, model, theta, Point(residual, replicates), jacobian, None)
+            normal = normal_equations(problem, noise, model, theta, Point(residual, replicates), jacobian, None, weight)
             cost = normal.loss + prior_cost(problem, theta, model)
             for _attempt in range(4):
                 A = normal.hessian + damping * np.diag(np.abs(np.diag(normal.hessian)))
@@ -442,7 +450,7 @@ class Fitter:
         if reference is None:
             replicates, sensed = own, sensor_noise(segments, own)
         noise = learn(segments, residual, replicates, problem.quantum(), None, self.bands, sensed, rest)
-        return self._finish(model, theta, Point(residual, own), jacobian, None, noise)
+        return self._finish(model, theta, Point(residual, own), jacobian, None, noise, weight)
 
     def polish(self, f: Fit) -> Fit:
         """Fit the same model with the noise's share subtracted (errors in variables), under constant noise."""
@@ -537,12 +545,13 @@ class Fitter:
         jacobian: Columns,
         extra: Columns | None,
         noise: Noise,
+        weight: np.ndarray | None = None,
     ) -> Fit:
         """Return the Laplace approximation of a model at its maximum, under a noise."""
         problem, spread = self.problem, self.problem.spread(model)
         if not all(np.isfinite(r).all() for r in point.residual):  # the replay does not follow it
             return Fit(model, theta, point, jacobian, extra, noise, np.diag(spread**2), -np.inf)
-        normal = normal_equations(problem, noise, model, theta, point, jacobian, extra)
+        normal = normal_equations(problem, noise, model, theta, point, jacobian, extra, weight)
         _, logdet = np.linalg.slogdet(normal.hessian * spread[:, None] * spread)
         cost = normal.loss + normal.log_determinant + prior_cost(problem, theta, model)
         evidence = -0.5 * (cost + logdet) - sum(np.log(h.alternatives) for h in model)
@@ -556,7 +565,7 @@ class Fitter:
         S = normal.hessian - prior
         V = S + 2 * _positive(normal.share, spread)
         covariance = _as_described(problem, _inverse(_godambe(S, V, prior, 1e-12) + prior))
-        return Fit(model, theta, point, jacobian, extra, noise, covariance, float(evidence))
+        return Fit(model, theta, point, jacobian, extra, noise, covariance, float(evidence), weight=normal.weight)
 
 
 def _as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:

@@ -108,6 +108,7 @@ class Spline:
     series: ClassVar[None] = None
     scales: ClassVar[tuple] = ()
     sets: ClassVar[dict[str, str]] = {}
+    includes: ClassVar[str] = ""
 
     @property
     def cause(self) -> Spline:

@@ -82,8 +82,14 @@ class Explored:
     complete: bool = True
 
     def probabilities(self, key: tuple[Any, ...]) -> tuple[float, float]:
-        """Return the probability that a cause is present, and that it is present as an effect and no imperfection."""
-        there = float(sum(w for m, w in zip(self.models, _weights(self.models), strict=True) if key in m.keys))
+        """Return the probability that a cause is present, and that it is present as an effect and no imperfection.
+
+        It is present, too, where a more general one that includes it is.
+        """
+        there = float(
+            _weights(self.models)
+            @ [any(key == h.key or key[0] == h.cause.includes for h in m.fit.model) for m in self.models]
+        )
         first = self.models[0]
         return there, there * first.effects[[h.key for h in first.fit.model].index(key)]
 
@@ -151,8 +157,12 @@ class Explorer:
                 if other is not best:
                     best = self._pruned(other)
                 other, models = self.neighbours(best, library.keeping(self._room(best)))
-            if other is best or (keys := frozenset(h.key for h in other.model)) in self._seen:
-                break  # no better one, or a cycle of equally probable models
+            keys = frozenset(h.key for h in other.model)
+            if keys == frozenset(h.key for h in best.model):
+                best = other
+                break
+            if keys in self._seen:
+                break  # a cycle of equally probable models
             self._seen.add(keys)
             best = self._pruned(self._fit(other.model, other.theta))
         if not models:
@@ -260,7 +270,10 @@ class Explorer:
                     yield i, post.judge(f), max(best.log_evidence - f.log_evidence, 0.0)
 
     def neighbours(self, best: Fit, library: Library) -> tuple[Fit, list[Judged]]:
-        """Return the best model without one of the effects or with another cause in its place, and all that were judged."""
+        """Return the best model without one of the effects or with another cause in its place, and all that were judged.
+
+        If none is better, the best model itself, in a better fit if there is one.
+        """
         problem, post = self.problem, self.posterior(best)
         linear = tamed(problem, best)
         effects = post.judge(best).effects
@@ -295,7 +308,10 @@ class Explorer:
                 why = f"in place of {' and '.join(best.model[i].cause.name.replace('_', ' ') for i in gone)}"
                 self._decide("swap", x.hypothesis, gain, size_of(problem, other.fit), gain > SWAP, why)
         better = max(models, key=lambda m: m.score)
-        return (better.fit if better.score > now.score + SWAP else best), models
+        if better.score <= now.score + SWAP:
+            return best, models
+        again = self._whole(post, best, best)  # the others were fitted further than the best one
+        return self.neighbours(again.fit, library) if again.score > now.score + SWAP else (better.fit, models)
 
     def _decide(self, stage: str, h: Hypothesis, gain: float, size: float, taken: bool, reason: str) -> None:
         self.decisions.append(Decision(stage, h.cause.name, h.fixed, float(gain), size, taken, reason))

@@ -32,6 +32,9 @@ IDEAL, WIDTH = (
 )  # noise ratio at which a joint is as likely real as ideal; change that makes one e times as likely
 LOOKALIKE = 2.0  # part of the unexplained error where a cause acts (RMS) that may look like it
 UNKNOWN = 10.0  # log prior odds of a known cause against an unknown effect, and of a usual against an unusual place
+SPECIAL = (
+    3.0  # log prior odds of a special case against a cause that includes it: strong evidence (Kass and Raftery, 1995)
+)
 EFFECT = 0.1  # probability of an effect below which a cause counts as an imperfection
 KNOWN = 0.1  # variance of an unknown over its prior's below which the data determine it
 _HELD = 1e-6  # spread of an unknown that does not move
@@ -127,7 +130,7 @@ class ModelPosterior:
             known, along = np.maximum(values, 1e-9) / T, vectors.T @ u
             if i in lost and u @ u > 0:
                 known = np.maximum(known, 2 * lost[i] / T / float(u @ u))
-            many = np.log(h.alternatives)
+            many = np.log(h.alternatives) + SPECIAL * bool(h.cause.includes)
             ordinary[i] = _slab(known, along, 1.0) - np.log(self.number) - many
             for part, pair, least in ((small, pairs[0], IMPERFECTION), (trace, pairs[1], TRACE)):
                 own = _slab(known, along, float(np.hypot(least, looks_like.get(i, 0.0))) / sigma)

@@ -76,8 +76,10 @@ class Outcome:
         return [c["name"] for c in self.causes]
 
     def is_there(self, cause: dict[str, Any]) -> bool:
-        """Whether a cause as in `diagnosis.json` is really there: hidden, or an imperfection of this joint."""
-        if cause["name"] in self.hidden:
+        """Whether a cause as in `diagnosis.json` is really there: hidden, or a special case of what is (`Cause.includes`), or an
+        imperfection of this joint."""
+        known = (n for n in self.hidden if n != "unknown")
+        if cause["name"] in (*self.hidden, *(causes.get(n).includes for n in known)):
             return True
         if not self.real or cause["name"] == "unknown" or not causes.get(cause["name"]).imperfection:
             return False

@@ -19,6 +19,7 @@ class BackDriving(Cause):
     name = "back_driving"
     component = "transmission"
     description = "friction grows with the load, and differs where the load drives: μ |Tf|/N or μ_b |Tf|/N"
+    includes = "load_dependent_friction"
     requires = Requirements(sliding=0.5, reversal=True, load_span=0.2)
     parameters = (
         CauseParameter("coefficient", "1", (0.0, 2.0), ((0.12, 0.3),), magnitude=True),

@@ -153,6 +153,8 @@ class Cause(ABC):
     likelier."""
     inexact: ClassVar[float] = 0.0
     """Relative standard deviation of its magnitudes, as a real joint's law is another."""
+    includes: ClassVar[str] = ""
+    """Name of a cause that is a special case of it: it is there wherever this one is."""
     imperfection: ClassVar[bool] = False
     """Whether every real joint has a little of it."""
     sensor: ClassVar[str | None] = None
