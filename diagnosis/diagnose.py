@@ -75,14 +75,16 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     problem = Problem(*segments(conditioned, joint), joint)
     pairs = zip(measurement.recordings, conditioned, strict=True)
     missing = coverage.undetermined(measurement, joint, [coverage.summarise(r, joint, c) for r, c in pairs])
-    if not any(s.usable.any() for s in problem.segments):
-        why = (
-            coverage.too_little(measurement, joint)
-            or "no part without gaps moves the rotor far enough to settle its friction"
-        )
-        return Diagnosis("inconclusive", (why,), (), {}, (), missing, {}, (), described, mistakes=mistakes)
-    offered = _offered(problem, measurement)
     plain = regressions(measurement, joint, conditioned)
+    nothing = coverage.too_little(measurement, joint)
+    if nothing is None and not any(s.usable.any() for s in problem.segments):
+        nothing = "no part without gaps moves the rotor far enough to settle its friction"
+    if nothing is not None:
+        return Diagnosis(
+            "inconclusive", (nothing,), (), {}, (), missing, {}, (), described, mistakes=mistakes, regressions=plain,
+            used=measurement,
+        )  # fmt: skip
+    offered = _offered(problem, measurement)
     progress("calibrating the joint", 0.02)
     found, slow, clock = _search(problem, offered, plain, progress, deadline)
     if clock is not None:

@@ -90,6 +90,16 @@ def test_a_joint_at_rest_keeps_its_description():
     assert d.extended.kinematic_error == joint.kinematic_error
 
 
+def test_a_log_that_is_too_slow_is_inconclusive_for_that_reason(joint):
+    """It was searched for causes, and ended with "nearly all causes are undetectable"."""
+    time = np.arange(0.0, 30.0, 1 / 8)
+    angle = np.sin(0.4 * time)
+    columns = {"link_position": angle, "motor_current": 1.5 * angle}
+    d = diagnose(Measurement("m", Path(), (Recording("slow", time, columns, link=joint.mount()),)), joint)
+    assert d.verdict == "inconclusive" and d.reasons[0].startswith("the log is slower than 10 Hz (8 samples a second)")
+    assert d.regressions and not d.causes
+
+
 @pytest.mark.slow
 def test_what_is_taken_back_is_not_called_consistent(joint, monkeypatch):
     """Calibration explains a joint within tolerance; where it is not believed the description is left, and that is off."""

@@ -17,7 +17,9 @@ INERTIA, GRAVITY = 0.3, 9.0
 
 def pendulum(folder, share: float):
     """A pendulum's log at 200 Hz, 20 s, with 1 % of noise, and the joint's description, which has no such friction."""
-    sheet = Datasheet("CSG", 17, 100, {"Kt": 0.07, "R": 0.6, "L": 5e-4, "Jm": 3e-5}, {"counts": 4096}, {"bits": 18}, name="swing")
+    sheet = Datasheet(
+        "CSG", 17, 100, {"Kt": 0.07, "R": 0.6, "L": 5e-4, "Jm": 3e-5}, {"counts": 4096}, {"bits": 18}, name="swing"
+    )
     joint = new_joint(sheet, folder / "swing.yaml").joint
     n = {name: q.value for name, q in joint.numbers.items()}
     time = np.arange(0.0, 20.0, 5e-3)
