@@ -311,7 +311,9 @@ class Explorer:
         if better.score <= now.score + SWAP:
             return best, models
         again = self._whole(post, best, best)  # the others were fitted further than the best one
-        return self.neighbours(again.fit, library) if again.score > now.score + SWAP else (better.fit, models)
+        if better.score > again.score + SWAP or again.score <= now.score:
+            return better.fit, models
+        return again.fit, [again, *models[1:]]
 
     def _decide(self, stage: str, h: Hypothesis, gain: float, size: float, taken: bool, reason: str) -> None:
         self.decisions.append(Decision(stage, h.cause.name, h.fixed, float(gain), size, taken, reason))
