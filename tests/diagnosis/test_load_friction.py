@@ -1,5 +1,7 @@
-"""Friction that grows with the load, in a log of a link's encoder and a current: how much is determined, and whether it differs where
-the load drives is not, as that looks like another torque constant."""
+"""Friction that grows with the load, in a log of a link's encoder and a current.
+
+How much it grows is determined. Whether it differs where the load drives is not: that looks like another torque constant.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,8 @@ def pendulum(folder, share: float):
     joint = new_joint(sheet, folder / "swing.yaml").joint
     n = {name: q.value for name, q in joint.numbers.items()}
     time = np.arange(0.0, 20.0, 5e-3)
-    turns = 2 * np.pi * np.array([0.11, 0.27, 0.53])
-    angle = np.array([0.8, 0.4, 0.15]) @ np.sin(np.outer(turns, time) + [[0.3], [1.1], [2.0]])
+    size, turns, phase = np.array([[0.8, 0.11, 0.3], [0.4, 0.27, 1.1], [0.15, 0.53, 2.0]]).T
+    angle = np.sin(2 * np.pi * np.outer(time, turns) + phase) @ size
     speed = np.gradient(angle, time)
     load = INERTIA * np.gradient(speed, time) + GRAVITY * np.sin(angle)
     friction = (n["Fc"] + share * np.abs(load) / n["N"]) * np.tanh(n["N"] * speed / 0.5) + n["bw"] * n["N"] * speed
