@@ -50,8 +50,8 @@ def recording(path: Path, name: str, blueprint: rrb.Blueprint | None = None) -> 
 
 def send_series(
     stream: rr.RecordingStream,
-    path: str,
     time: np.ndarray,
+    path: str,
     values: np.ndarray,
     name: str,
     color: str,
