@@ -47,7 +47,7 @@ def command(
 
     Writes `joint.yaml`, the description with the causes in it, `diagnosis.json`, and a report.
     """
-    from ..models.files import write_json
+    from ..models.files import write_json, write_text
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, output_folder
     from ._console import console, stages
@@ -95,11 +95,11 @@ def command(
             shown = Report(data, described, found, gained, found.plan, out)
             if report:
                 from ..diagnosis.bode import excited_response
-                from ..views.pages import write_report
+                from ..views.pages.diagnosis import html
                 from ..views.rerun import write_rerun_report
 
                 response = excited_response(shown.used, found.extended) if found.problem is not None else None
-                write_report(replace(shown, response=response), folder / "report.html")
+                write_text(folder / "report.html", html(replace(shown, response=response)))
                 write_rerun_report(shown, folder / "report.rrd")
     if as_json:
         return answer

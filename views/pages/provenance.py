@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Sequence
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
@@ -16,11 +15,6 @@ if TYPE_CHECKING:
     from ...models.recording import Recording
 
 _DIGITS = 12
-
-
-def recordings_data(recordings: Sequence[Recording]) -> list[tuple[str, int, str, str]]:
-    """Return name, samples, columns and the start of a hash of each recording."""
-    return [(r.name, len(r.time), ", ".join(r.columns), fingerprint(r)) for r in recordings]
 
 
 def now() -> str:

@@ -86,17 +86,15 @@ def _channels(columns: Mapping[str, np.ndarray]) -> list[str]:
 def validation_html(found: Validated) -> str:
     """Return the page as text: one file without references to others."""
     answer = found.answer
-    beyond = beyond_sentence(answer["beyond"])
     context = {
         "joint": answer["joint"],
         "holds": _holds(answer),
         "sentence": _verdict(answer),
-        "channels": [(plain(name), e, _worst(answer, name)) for name, e in answer["residual"].items()],
-        "names": [(plain(name), e["unit"]) for name, e in answer["residual"].items()],
+        "channels": [(name, e, _worst(answer, name)) for name, e in answer["residual"].items()],
         "mistakes": [_mistake(m) for m in answer["mistakes"]],
         "fixed": answer.get("fixed", []),
-        "beyond": beyond,
-        "regions": _regions(answer),
+        "beyond": beyond_sentence(answer["beyond"]),
+        "regions": answer["regions"],
         "commands": _commands(found),
         "groups": charts_of(found),
         "folder": str(found.folder),
@@ -161,22 +159,7 @@ def _worst(answer: dict[str, Any], channel: str) -> dict[str, Any] | None:
     most = max(regions, key=lambda r: float(r["rms"][channel]), default=None)
     if most is None or most["rms"][channel] < _WORSE * answer["residual"][channel]["rms"]:
         return None
-    return {"where": _where(most), "rms": most["rms"][channel]}
-
-
-def _where(region: dict[str, Any]) -> str:
-    if region["by"] == "direction":
-        return "moving backward" if region["to"] <= 0 else "moving forward"
-    low, high, unit = number(region["from"], 2), number(region["to"], 2), region["unit"]
-    return f"{region['by']} {low} to {high} {unit}"
-
-
-def _regions(answer: dict[str, Any]) -> list[tuple[str, bool, list[str]]]:
-    """Every region: its name, whether most of it is outside the range of validity, and the error of each channel."""
-    return [
-        (_where(r), r["beyond"] > 0.5, [number(r["rms"][c], 3) if c in r["rms"] else "–" for c in answer["residual"]])
-        for r in answer["regions"]
-    ]
+    return most
 
 
 def _commands(found: Validated) -> list[tuple[str, str]]:
