@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ._listing import AsJson
 from ._measurement import load_measurement
-from ._options import OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, OtherJoint, ResultFolder, with_plugins
 
 EXAMPLES = ("flexspline bode measurement --out bode", "flexspline bode my_chirp.yaml --out bode")
 

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ._listing import AsJson
-from ._options import Changes, Estimators, SomeScenarios, Vary, with_plugins
+from ._options import AsJson, Changes, Estimators, SomeScenarios, Vary, with_plugins
 
 EXAMPLES = (
     "flexspline bound link_sweep --seeds 5",

@@ -14,8 +14,7 @@ import typer
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ..models.processes import single_threaded
-from ._listing import AsJson
-from ._options import Jobs, with_plugins
+from ._options import AsJson, Jobs, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console

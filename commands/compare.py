@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ._listing import AsJson
-from ._options import Changes, Out, Seed, SomeScenarios, with_plugins
+from ._options import AsJson, Changes, Out, Seed, SomeScenarios, with_plugins
 
 EXAMPLES = (
     "flexspline compare",

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._listing import AsJson
-from ._options import Changes, Jobs, shipped, with_plugins
+from ._options import AsJson, Changes, Jobs, shipped, with_plugins
 
 if TYPE_CHECKING:
     from ..scenarios.evaluation.contact import ContactStudy

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._listing import AsJson
 from ._measurement import load_measurement
-from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console

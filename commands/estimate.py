@@ -7,9 +7,8 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError, InputWarning
-from ._listing import AsJson
 from ._measurement import load_measurement
-from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError, InputWarning, check_each_once
-from ._listing import AsJson
-from ._measurement import read_measurement_files
-from ._options import with_plugins
+from ._measurement import print_mistakes, read_measurement_files
+from ._options import AsJson, with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
@@ -63,7 +62,6 @@ def command(
     """
     from ..models.output import check_output, output_folder
     from ._console import console
-    from ._mistakes import print_mistakes
 
     if propose:
         if len(what) != 1 or out is not None:

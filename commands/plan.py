@@ -8,9 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._listing import AsJson
 from ._measurement import load_measurement
-from ._options import OtherJoint, with_plugins
+from ._options import AsJson, OtherJoint, with_plugins
 
 EXAMPLES = ("flexspline plan measurement", "flexspline plan diagnosis --json")
 

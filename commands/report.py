@@ -10,8 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._listing import AsJson
-from ._options import with_plugins
+from ._options import AsJson, with_plugins
 
 HOLDS = "a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact"  # what a folder may hold
 _MARK = '<meta name="generator" content="flexspline">'

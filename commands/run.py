@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ._listing import AsJson
-from ._options import Changes, Out, Scenarios, Seed, with_plugins
+from ._options import AsJson, Changes, Out, Scenarios, Seed, with_plugins
 
 EXAMPLES = (
     "flexspline run external_push",

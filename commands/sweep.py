@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.processes import single_threaded
-from ._listing import AsJson
-from ._options import Jobs, shipped, with_plugins
+from ._options import AsJson, Jobs, shipped, with_plugins
 
 if TYPE_CHECKING:
     from ..scenarios.studies.swept import Swept

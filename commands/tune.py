@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._listing import AsJson
-from ._options import Changes, Estimators, Jobs, SomeScenarios, Vary, with_plugins
+from ._options import AsJson, Changes, Estimators, Jobs, SomeScenarios, Vary, with_plugins
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

@@ -5,9 +5,8 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from ._listing import AsJson
-from ._measurement import load_measurement
-from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
+from ._measurement import load_measurement, print_mistakes
+from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -54,7 +53,6 @@ def command(measurement: MeasurementPath, out: ResultFolder, joint: OtherJoint =
 def _show(terminal: Console, found: Validation, correction: str) -> None:
     from ..models.joint_parts import beyond_sentence
     from ._console import print_table
-    from ._mistakes import print_mistakes
 
     if found.mistakes:
         print_mistakes(terminal, found.mistakes, correction)

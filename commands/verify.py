@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ._listing import AsJson
+from ._options import AsJson
 
 EXAMPLES = ("flexspline verify reference",)
 

@@ -16,9 +16,8 @@ import typer
 
 from ..models.errors import InputError
 from ..models.output import at_end
-from ._listing import AsJson
 from ._live import ADDRESS, viewer_process
-from ._options import Changes, Seed, shipped, with_plugins
+from ._options import AsJson, Changes, Seed, shipped, with_plugins
 
 RECORDINGS = ("run.rrd", "report.rrd")  # file names of a run's and of a diagnosis's recording
 _MAGIC = b"RRF"

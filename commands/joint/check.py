@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._listing import AsJson
-from .._options import with_plugins
+from .._options import AsJson, with_plugins
 
 if TYPE_CHECKING:
     from ...models.joint_check import Fault

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from .._listing import AsJson
 from .._measurement import load_measurement
-from .._options import ResultFolder, with_plugins
+from .._options import AsJson, ResultFolder, with_plugins
 
 EXAMPLES = (
     "flexspline joint friction csg-25-100-tbm2g --out friction",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...models.errors import InputError
-from .._listing import AsJson
+from .._options import AsJson
 
 if TYPE_CHECKING:
     from ...models.datasheet import NewJoint

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...models.errors import InputError
-from .._listing import AsJson
-from .._options import with_plugins
+from .._options import AsJson, with_plugins
 
 if TYPE_CHECKING:
     from ...models.joint import Joint
