@@ -35,21 +35,20 @@ def command(
 
     maker, names = made_from("bode", source), ["bode.csv", "bode.png"]
     path = Path(source)
-    if path.exists() and path.suffix not in (".yaml", ".yml"):
+    measured = path.exists() and path.suffix not in (".yaml", ".yml")
+    if measured:
         data, described = load_measurement(path, joint)
-        inputs = data.files
-    else:
+    inputs = data.files if measured else [path] if path.exists() else []
+    check_output(out, maker, inputs=inputs, writes=names)
+    if not measured:
         from ..models.joint import load_joint
         from ..scenarios.run import run_scenario
         from ..scenarios.scenario import load_scenario
 
-        inputs = [path] if path.exists() else []
-        check_output(out, maker, inputs=inputs, writes=names)
         scenario, folder = load_scenario(source)
         run = run_scenario(scenario, folder)
         data = Measurement(run.name, path, (run.as_recording(),))
         described = load_joint(joint) if joint is not None else scenario.load_joint(folder)[1]
-    check_output(out, maker, inputs=inputs, writes=names)
     found = response(data, described)
     columns = {
         "frequency [Hz]": found.frequency,

@@ -81,12 +81,13 @@ def command(
         for limits in found:
             terminal.print(limits_table(limits))
     if out is not None:
-        from ..views.limit_figures import limits_figure, save_figure
+        from ..views.figures.sheet import save
+        from ..views.limit_figures import limits_figure
 
         with output_folder(out, "bound") as folder:
             for limits in found:
                 write_limits(limits, folder / limits.scenario / "limits.parquet")
-                save_figure(limits_figure(limits), folder / limits.scenario / "limits.png")
+                save(limits_figure(limits), folder / limits.scenario / "limits.png", 110)
             write_summary(found, folder / "summary.csv")
         if not as_json:
             terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario")

@@ -102,10 +102,10 @@ def _write(out: Path, answer: dict[str, Any], found: ContactStudy) -> None:
     from ..models.files import write_json, write_rows
     from ..models.output import output_folder
     from ..views import contact_views
-    from ..views.limit_figures import save_figure
+    from ..views.figures.sheet import save
 
     with output_folder(out, "contact") as new:
         write_json(new / "contact.json", answer)
         write_rows(new / "contact.csv", list(found.curves))
         (new / "contact.md").write_text(contact_views.contact_markdown(answer), encoding="utf-8")
-        save_figure(contact_views.contact_figure(found.curves, found.scenario), new / "contact.png")
+        save(contact_views.contact_figure(found.curves, found.scenario), new / "contact.png", 110)

@@ -52,39 +52,6 @@ def command(
         if alone := [name for name, value in given.items() if value]:
             raise InputError(f"{alone[0]}: expected it with --to, got it alone")
         return _recordings(Path(source), out, as_json)
-    return _joint(source, to, measurement, into, hinge, rigid, draws, seed, out, as_json)
-
-
-def _recordings(measurement: Path, out: Path, as_json: bool) -> Any:
-    from ..diagnosis.data.exporting import write_mcap
-    from ..models.output import check_output, made_from, output_folder
-    from ._console import console
-
-    data = read_measurement_files(measurement)
-    maker, names = made_from("export", measurement), [f"{recording.name}.mcap" for recording in data.recordings]
-    check_output(out, maker, inputs=data.files, writes=names)
-    with output_folder(out, maker, inputs=data.files, writes=names) as folder:
-        for recording, name in zip(data.recordings, names, strict=True):
-            write_mcap(recording, folder / name)
-    if as_json:
-        return {r.name: {"file": str(out / name)} for r, name in zip(data.recordings, names, strict=True)}
-    terminal = console()
-    for name in names:
-        terminal.print(f"{out / name}")
-
-
-def _joint(
-    source: str,
-    to: str,
-    measurement: Path | None,
-    into: Path | None,
-    hinge: str | None,
-    rigid: bool,
-    draws: int,
-    seed: int,
-    out: Path,
-    as_json: bool,
-) -> Any:
     from ..models.errors import read_text
     from ..models.files import write_json, write_text
     from ..models.joint import load_joint
@@ -144,3 +111,21 @@ def _joint(
 
     for line in [*notes, str(out), *([str(drawn)] if draws else [])]:
         console().print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _recordings(measurement: Path, out: Path, as_json: bool) -> Any:
+    from ..diagnosis.data.exporting import write_mcap
+    from ..models.output import check_output, made_from, output_folder
+    from ._console import console
+
+    data = read_measurement_files(measurement)
+    maker, names = made_from("export", measurement), [f"{recording.name}.mcap" for recording in data.recordings]
+    check_output(out, maker, inputs=data.files, writes=names)
+    with output_folder(out, maker, inputs=data.files, writes=names) as folder:
+        for recording, name in zip(data.recordings, names, strict=True):
+            write_mcap(recording, folder / name)
+    if as_json:
+        return {r.name: {"file": str(out / name)} for r, name in zip(data.recordings, names, strict=True)}
+    terminal = console()
+    for name in names:
+        terminal.print(f"{out / name}")

@@ -55,19 +55,13 @@ def write_page(folders: Sequence[Path], out: Path) -> None:
     content; another file in place of the page."""
     from ..models.files import write_text
 
-    _check(out)
-    page = _page(folders)
-    write_text(out, page)
-
-
-def _check(out: Path) -> None:
-    """Refuse to replace a file that is not a page of this program, with `InputError`."""
     if out.is_dir():
         raise InputError(f"{out}: expected a file, got a folder")
     if not out.parent.is_dir():
         raise InputError(f"{out}: expected a file in an existing folder, got {out.parent}")
     if out.exists() and _MARK not in out.read_text(encoding="utf-8", errors="replace")[:2000]:
         raise InputError(f"{out}: expected no file, or a page of this program, got another file")
+    write_text(out, _page(folders))
 
 
 def _page(folders: Sequence[Path]) -> str:

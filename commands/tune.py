@@ -81,9 +81,10 @@ def command(
             text = f"# {title}\n\n{markdown_table(TUNED_HEADS, tuned_rows(results))}\n"
             (new / "tuned.md").write_text(text, encoding="utf-8")
             if found.fronts:
-                from ..views.limit_figures import pareto_figure, save_figure
+                from ..views.figures.sheet import save
+                from ..views.limit_figures import pareto_figure
 
-                save_figure(pareto_figure(found.fronts, found.pushed, len(testing)), new / "pareto.png")
+                save(pareto_figure(found.fronts, found.pushed, len(testing)), new / "pareto.png", 110)
         if not as_json:
             terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if found.fronts else ''}")
     return answer if as_json else None

@@ -97,25 +97,18 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-class _WithMujoco(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+class _WithMujoco(importlib.abc.MetaPathFinder):
     """Registers the plugin `flexspline.joint` as soon as MuJoCo is imported, so that models with it compile."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> Any:
         if fullname != "mujoco":
             return None
         sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(fullname)
+        spec: Any = importlib.util.find_spec(fullname)
         if spec is not None and spec.loader is not None:
-            self._loader, spec.loader = spec.loader, self
+            execute = spec.loader.exec_module
+            spec.loader.exec_module = lambda module: (execute(module), _register())
         return spec
-
-    def create_module(self, spec: Any) -> Any:
-        return self._loader.create_module(spec)
-
-    def exec_module(self, module: Any) -> None:
-        module.__spec__.loader = module.__loader__ = self._loader
-        self._loader.exec_module(module)
-        _register()
 
 
 def _register() -> None:

@@ -160,15 +160,8 @@ def _joined(pieces: list[np.ndarray], instants: bool = False) -> np.ndarray:
 
 def _held_out(segment: Segment) -> list[tuple[float, float]]:
     """Parts of the time [s] that are held out from every fit."""
-    kept: np.ndarray = np.any(segment.held_out, axis=1)
-    fitted: np.ndarray = np.any(segment.usable, axis=1)
-    found: list[tuple[float, float]] = []
-    last = -1  # the last sample that was fitted or held out
-    for i in np.flatnonzero(kept | fitted):
-        if kept[i]:
-            if found and last >= 0 and kept[last]:
-                found[-1] = (found[-1][0], float(segment.at[i]))
-            else:
-                found.append((float(segment.at[i]), float(segment.at[i])))
-        last = int(i)
-    return found
+    kept, fitted = np.any(segment.held_out, axis=1), np.any(segment.usable, axis=1)
+    counted = np.flatnonzero(kept | fitted)
+    edges = np.flatnonzero(np.diff(np.r_[False, kept[counted], False]))
+    at = segment.at[counted]
+    return [(float(at[begin]), float(at[end - 1])) for begin, end in edges.reshape(-1, 2)]

@@ -37,27 +37,14 @@ def runs_html(
     """Return the page as text, one file without references to others. `runs`: with their folders, each of another
     scenario; `arm`: folder of an arm's run, if they are its joints; `responses`: frequency response of each, None
     without enough excitation."""
-    return render("run.html.j2", _context(runs, arm, responses or [None] * len(runs)))
-
-
-def line_kinds(names: Sequence[str]) -> dict[str, str]:
-    """Return the style class of each filter's lines; 32 are different, and the paper's are the same on every page."""
-    own = {name: f"s{i}" for i, name in enumerate(FILTERS)}
-    spare = itertools.cycle(f"s{i}" for i in range(len(own), 32))
-    return own | {name: next(spare) for name in names if name not in own}
-
-
-def _context(
-    runs: Sequence[tuple[Run, Path]], arm: Path | None, responses: Sequence[Response | None]
-) -> dict[str, Any]:
     names = list(dict.fromkeys(name for run, _ in runs for name in run.estimates))
     kinds = line_kinds(names)
     scenarios = [
         _scenario(run, folder, kinds, arm is not None) | {"response": response_context(response)}
-        for (run, folder), response in zip(runs, responses, strict=True)
+        for (run, folder), response in zip(runs, responses or [None] * len(runs), strict=True)
     ]
     title = " and ".join(run.name for run, _ in runs) if len(runs) < 3 else f"{len(runs)} scenarios"
-    return {
+    context = {
         "title": title if arm is None else arm.resolve().name,
         "arm": arm is not None,
         "joints": list(dict.fromkeys(run.joint.name for run, _ in runs)),
@@ -76,6 +63,14 @@ def _context(
             for run, folder in runs
         ],
     }
+    return render("run.html.j2", context)
+
+
+def line_kinds(names: Sequence[str]) -> dict[str, str]:
+    """Return the style class of each filter's lines; 32 are different, and the paper's are the same on every page."""
+    own = {name: f"s{i}" for i, name in enumerate(FILTERS)}
+    spare = itertools.cycle(f"s{i}" for i in range(len(own), 32))
+    return own | {name: next(spare) for name in names if name not in own}
 
 
 def _error(run: Run, name: str) -> float:

@@ -114,7 +114,7 @@ def _table(study: Study, found: Sequence[Aggregate], metric: str) -> dict[str, A
     rows = []
     for scenario, columns, of in sweep_rows(found):
         at = [value_text(columns[axis]) for axis in found[0].columns]
-        cells = [(cell(of.get(name), metric, column), sign_of(of.get(name), metric)) for name in study.names]
+        cells = [(cell(of.get(name), metric), sign_of(of.get(name), metric)) for name in study.names]
         rows.append((scenario, at, cells))
     return {"title": column.title, "meaning": column.meaning, "rows": rows}
 

@@ -26,6 +26,7 @@ from .residual_charts import Group
 HELD = 0.9  # A description holds for a channel if this share of the samples in motion is inside the 95 % band
 _CLEARLY = 2.0
 """An error of more than so many times the sensors' noise has a cause that could be found, also inside the band."""
+_WIDTH = 540
 _WORSE = 1.3  # A region with more than so many times the error of all motion is reported as the worst
 
 
@@ -193,25 +194,16 @@ def charts_of(found: Validated) -> list[Group]:
         off, band = (float(np.percentile(abs(x), 99.5)) if len(x) else 0.0 for x in finite)
         reach = 1.3 * max(off, min(band, 4 * off))  # of a wide band, only the middle is shown
         y = (-reach, reach) if reach > 0 else (-1.0, 1.0)
-        charts = [_chart(name, c, channel, error, y, left[name], half[name]) for name, c in of.items()]
+        charts = []
+        for name, columns in of.items():
+            time, curves = columns["time"], (columns[channel], columns[f"{channel}_simulated"])
+            x, unit = (float(time[0]), float(time[-1])), error["unit"]
+            values = Chart(x, limits(np.concatenate(curves), 0.05), name, ylabel=unit, width=_WIDTH, height=190)
+            values.line(time, curves[0], "measured broad")
+            values.line(time, curves[1], "after")
+            below = Chart(x, y, "measured − simulated", "time [s]", unit, width=_WIDTH, height=170)
+            below.between(time, -half[name], half[name], "noise")
+            below.line(time, left[name], "before thin")
+            charts.append([values, below])
         groups.append(Group(channel, error["unit"], charts))
     return groups
-
-
-def _chart(
-    name: str, columns: Mapping[str, np.ndarray], channel: str, error: dict[str, Any], y: tuple[float, float],
-    left: np.ndarray, half: np.ndarray,
-) -> list[Chart]:  # fmt: skip
-    time, unit = columns["time"], error["unit"]
-    curves = columns[channel], columns[f"{channel}_simulated"]
-    x = (float(time[0]), float(time[-1]))
-    values = Chart(x, limits(np.concatenate(curves), 0.05), name, ylabel=unit, width=_WIDTH, height=190)
-    values.line(time, curves[0], "measured broad")
-    values.line(time, curves[1], "after")
-    below = Chart(x, y, "measured − simulated", "time [s]", unit, width=_WIDTH, height=170)
-    below.between(time, -half, half, "noise")
-    below.line(time, left, "before thin")
-    return [values, below]
-
-
-_WIDTH = 540
