@@ -107,7 +107,12 @@ class _WithMujoco(importlib.abc.MetaPathFinder):
         spec: Any = importlib.util.find_spec(fullname)
         if spec is not None and spec.loader is not None:
             execute = spec.loader.exec_module
-            spec.loader.exec_module = lambda module: (execute(module), _register())
+
+            def exec_module(module: Any) -> None:
+                execute(module)
+                _register()
+
+            spec.loader.exec_module = exec_module
         return spec
 
 

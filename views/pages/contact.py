@@ -15,8 +15,7 @@ from ...models.errors import InputError
 from ...models.files import check_format, read_json
 from ..contact_views import HEADS, contact_rows, measure_text, reasons, titles
 from .chart import Chart, limits
-from .provenance import file_digest
-from .rendering import render
+from .rendering import file_digest, render
 from .run import line_kinds
 
 MEASURES = ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay")

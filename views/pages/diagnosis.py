@@ -33,8 +33,7 @@ from ..report import (
 )  # fmt: skip
 from ..residuals import balances, overlays
 from . import residual_charts
-from .provenance import fingerprint
-from .rendering import render
+from .rendering import fingerprint, render
 from .response_charts import response_context
 
 if TYPE_CHECKING:

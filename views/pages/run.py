@@ -19,8 +19,7 @@ from ..report import listed
 from ..style import FILTERS
 from ..tables import COLUMNS, RAW_MODEL, doubts, marked, misjudged
 from .chart import Chart, limits
-from .provenance import fingerprint
-from .rendering import render
+from .rendering import fingerprint, render
 from .response_charts import response_context
 
 if TYPE_CHECKING:

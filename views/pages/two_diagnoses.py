@@ -18,8 +18,7 @@ from ...models.parameters import short_way
 from ..glossary import meaning
 from ..numbers import with_std
 from ..report import listed, plain
-from .provenance import file_digest
-from .rendering import render
+from .rendering import file_digest, render
 
 _DELAYS = ("current_delay", "torque_sensor_delay")
 """Delays of sensors that a diagnosis finds, by their names in its answer."""

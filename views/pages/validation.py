@@ -19,8 +19,7 @@ from ...models.tables import read_table
 from ..numbers import number, percent
 from ..report import listed, plain
 from .chart import Chart, limits
-from .provenance import file_digest
-from .rendering import render
+from .rendering import file_digest, render
 from .residual_charts import Group
 
 HELD = 0.9  # A description holds for a channel if this share of the samples in motion is inside the 95 % band

@@ -14,8 +14,7 @@ from ...sim.shape import shape
 from ..report import Report, markdown, plain
 from ..residuals import Overlay, overlays
 from ..style import SENSOR, TRUTH
-from .blueprint import joint_view
-from .recording import TIMELINE, entity, layout, recording, send_series, series_view
+from .recording import TIMELINE, entity, joint_view, layout, recording, send_series, series_view
 from .scene import reach, send_bodies, send_torques, thin_frames
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ import rerun.blueprint as rrb
 
 from ...sim.shape import shape
 from ..style import FILTERS, SPARE, TRUTH
-from .blueprint import joint_view
-from .recording import entity, layout, recording, send_series, series_view
+from .recording import entity, joint_view, layout, recording, send_series, series_view
 from .scene import reach, send_scene
 
 if TYPE_CHECKING:

@@ -86,6 +86,21 @@ def series_view(
     )
 
 
+def joint_view(name: str, origin: str, reach: float) -> rrb.Spatial3DView:
+    """Return a view of the joint in 3D from the front; `reach` of its link [m]."""
+    return rrb.Spatial3DView(
+        name=name,
+        origin=origin,
+        background=[28, 31, 36],
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            position=(1.35 * reach, -2.3 * reach, 0.6 * reach),
+            look_target=(0.2 * reach, 0.0, 0.0),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+
+
 def layout(root: rrb.Container, end: float, live: bool = False) -> rrb.Blueprint:
     """Return a blueprint that shows the time from 0 to `end` [s]; `live`: the cursor follows the data."""
     # The viewer stores the range of the common time axis with a view of this id; without it, it shows 30 s.

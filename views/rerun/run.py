@@ -9,13 +9,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from ...sim.shape import shape
-from ..posteriors import innovations, modes, robust_shares, switching
+from ..posteriors import SHARE_WINDOW, innovations, modes, robust_shares, settled, switching
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors, main_filter
 from ..tables import comparison_markdown
-from .blueprint import run_blueprint
-from .recording import POINTS, TIMELINE, is_new, recording, rgb, send_series
+from .recording import (
+    POINTS,
+    SHARED_TIME,
+    TIMELINE,
+    is_new,
+    joint_view,
+    layout,
+    recording,
+    rgb,
+    send_series,
+    series_view,
+)  # fmt: skip
 from .scene import reach, send_scene
 
 if TYPE_CHECKING:
@@ -45,7 +56,7 @@ class RunRecording:
         self._hidden = {n for n, one in run.estimates.items() if one.robust is not None and one.robust[1:].all()}
         self._shares = {name: robust_shares(run, name) for name in switching(run)}
         self._windows = {name: windows(run, name) for name in self._shares}
-        stream.send_blueprint(run_blueprint(run, reach(self._model), live))
+        stream.send_blueprint(_blueprint(run, reach(self._model), live))
         stream.send_recording_name(run.name)
         self._send_notes(_asked(run))
 
@@ -92,6 +103,47 @@ class RunRecording:
                 series(f"{place}/innovation", found[name].values, "innovation", color, 1.0)
                 series(f"{place}/upper", deviation, "+√P_Y", SENSOR)
                 series(f"{place}/lower", -deviation, "−√P_Y", SENSOR)
+
+
+def _blueprint(run: Run, far: float, live: bool) -> rrb.Blueprint:
+    """Return the layout of a run; `far`: reach of the link [m], for the camera; `live`: the cursor follows the data."""
+    names, stated, pushed = list(run.estimates), tuple(innovations(run)), bool(np.any(run.external_torque))
+    main = main_filter(names)
+    # 1.5 times the main filter's largest error after the transient [N·m]
+    limit = 1.5 * float(np.abs((run.estimate(main) - run.truth("joint_torque"))[settled(run)]).max())
+    joint = joint_view("Joint: torque true (green), estimated, external (pink)", "scene", far)
+    # All panels have the same colours: one legend is enough.
+    innovation_views = [
+        series_view(f"Innovation {name} [N·m]" if name == main else name, f"innovation/{name}", legend=False)
+        for name in (main, *(name for name in names if name != main))
+        if name in stated
+    ]
+    behind: list[rrb.View | rrb.Container] = [
+        *([rrb.Tabs(contents=innovation_views, name="Innovation")] if innovation_views else []),
+        series_view("Torsion and its parts [mrad]", "torsion"),
+        *([series_view("External torque [N·m]", "external_torque", legend=False)] if pushed else []),
+        rrb.Tabs(
+            series_view("Position error [mrad]", "position_error", legend=False),
+            series_view("Position [°]", "position"),
+            series_view("Motor current [A]", "current"),
+            name="Motion",
+        ),
+    ]
+    estimates: list[rrb.View] = [
+        series_view("Joint torque [N·m]", "torque"),
+        series_view("Estimate − truth [N·m]", "error", legend=False, limits=(-limit, limit)),
+        series_view(f"Robust mode [% of {SHARE_WINDOW:g} s]", "robust_share", legend=False, limits=(-5, 105)),
+        rrb.StateTimelineView(name="Mode", origin="mode", time_view=SHARED_TIME),
+    ]
+    panels = rrb.Horizontal(
+        rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
+        rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
+        rrb.Vertical(
+            contents=behind, row_shares=[*([2] if innovation_views else []), 2.2, *([1.2] if pushed else []), 1.6]
+        ),
+        column_shares=[1.05, 1.4, 1.25],
+    )
+    return layout(panels, float(run.time[-1]), live)
 
 
 def _interesting(run: Run) -> np.ndarray:
