@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..models.output import manifest
 from ._console import print_table
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ def load_measurement(path: str | Path, option: str | None) -> tuple[Measurement,
 
 def read_measurement_files(path: str | Path) -> Measurement:
     """Read a measurement; report on stderr tables of its folder that are not part of it, except those of commands."""
-    from ..models.output import manifest
     from ..models.recording import read_measurement
 
     found = read_measurement(path)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..models.output import check_output, made_from, output_folder
 from ._measurement import load_measurement
 from ._options import AsJson, OtherJoint, ResultFolder, with_plugins
 
@@ -28,7 +29,6 @@ def command(
     import pandas as pd
 
     from ..diagnosis.bode import response
-    from ..models.output import check_output, made_from, output_folder
     from ..models.recording import Measurement
     from ..views.figures.bode import bode_figure
     from ..views.figures.sheet import save

@@ -7,6 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
+from ..models.errors import InputError
+from ..models.output import check_output, output_folder
+from ._console import console, progress
 from ._options import AsJson, Changes, Estimators, SomeScenarios, Vary, with_plugins
 
 EXAMPLES = (
@@ -48,12 +51,9 @@ def command(
     joint that is known within its tolerances. In a scripted scenario, an adaptive filter may be below the bound; with
     `--walk` it cannot.
     """
-    from ..models.errors import InputError
-    from ..models.output import check_output, output_folder
     from ..scenarios.evaluation.limits import assess, fitted_intensity, matched
     from ..scenarios.filters import estimators
     from ..views.limit_tables import limits_table, summary_rows, write_limits, write_summary
-    from ._console import console, progress
     from ._runs import PAPER, load_all
 
     chosen = estimators(filter_ or ())

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..models.output import check_output, output_folder
+from ._console import console, progress
 from ._options import AsJson, Changes, Jobs, shipped, with_plugins
 
 if TYPE_CHECKING:
@@ -57,12 +59,10 @@ def command(
     with drawn pushes. Every run has another joint within tolerance, another motion and other noise.
     """
     from ..models import plugins
-    from ..models.output import check_output
     from ..scenarios.evaluation import contact
     from ..scenarios.filters import estimators
     from ..scenarios.scenario import load_scenario
     from ..views import contact_views
-    from ._console import console, progress
 
     shares = tolerance or [0.0, 1.0]
     chosen = estimators(filter_ or contact.DEFAULT)
@@ -100,7 +100,6 @@ def command(
 
 def _write(out: Path, answer: dict[str, Any], found: ContactStudy) -> None:
     from ..models.files import write_json, write_rows
-    from ..models.output import output_folder
     from ..views import contact_views
     from ..views.figures.sheet import save
 

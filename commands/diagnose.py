@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError
+from ..models.memory import give_back_free_pages, give_back_large_arrays
+from ..models.output import check_output, output_folder
+from ._console import console, stages
 from ._measurement import load_measurement
 from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
@@ -47,9 +50,6 @@ def command(
     Writes `joint.yaml`, the description with the causes in it, `diagnosis.json`, and a report.
     """
     from ..models.files import write_json, write_text
-    from ..models.memory import give_back_free_pages, give_back_large_arrays
-    from ..models.output import check_output, output_folder
-    from ._console import console, stages
 
     give_back_large_arrays()
     if seconds is not None and not seconds > 0:

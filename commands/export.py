@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..models.errors import InputError
+from ..models.errors import InputError, read_text
+from ..models.output import check_output, made_from, output_folder
+from ._console import console
 from ._measurement import load_measurement, read_measurement_files
 from ._options import AsJson, with_plugins
 
@@ -52,7 +54,6 @@ def command(
         if alone := [name for name, value in given.items() if value]:
             raise InputError(f"{alone[0]}: expected it with --to, got it alone")
         return _recordings(Path(source), out, as_json)
-    from ..models.errors import read_text
     from ..models.files import write_json, write_text
     from ..models.joint import load_joint
     from ..models.mjcf import inherited
@@ -107,7 +108,6 @@ def command(
         write_json(drawn, {"format": 1, "seed": seed, "draws": list(found.draws)})
     if as_json:
         return found.to_json() | {"file": str(out)} | ({"draws": str(drawn)} if draws else {})
-    from ._console import console
 
     for line in [*notes, str(out), *([str(drawn)] if draws else [])]:
         console().print(line, soft_wrap=True, markup=False, highlight=False)
@@ -115,8 +115,6 @@ def command(
 
 def _recordings(measurement: Path, out: Path, as_json: bool) -> Any:
     from ..diagnosis.data.exporting import write_mcap
-    from ..models.output import check_output, made_from, output_folder
-    from ._console import console
 
     data = read_measurement_files(measurement)
     maker, names = made_from("export", measurement), [f"{recording.name}.mcap" for recording in data.recordings]

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError, InputWarning, check_each_once
+from ..models.output import check_output, output_folder
+from ._console import console
 from ._measurement import print_mistakes, read_measurement_files
 from ._options import AsJson, with_plugins
 
@@ -60,8 +62,6 @@ def command(
     With `--fix`, common mistakes (units, signs, columns exchanged or late, …) are found and corrected. This also works for a
     measurement in this program's format: `flexspline import MEASUREMENT --fix --out DIR`.
     """
-    from ..models.output import check_output, output_folder
-    from ._console import console
 
     if propose:
         if len(what) != 1 or out is not None:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
+from ._console import console, stages
 from ._measurement import load_measurement
 from ._options import AsJson, OtherJoint, with_plugins
 
@@ -24,7 +25,6 @@ def command(
 ) -> Any:
     """Find out what to measure next: candidate experiments are simulated, and ranked by their expected information."""
     from ..diagnosis.proposals import plan_from, read_proposals
-    from ._console import console, stages
 
     diagnosed = (source / "diagnosis.json").is_file()
     if diagnosed and joint is not None:

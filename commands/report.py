@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
+from ._console import console
 from ._options import AsJson, with_plugins
 
 HOLDS = "a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact"  # what a folder may hold
@@ -41,7 +42,6 @@ def command(
     It begins with the result, its confidence and what to do, and ends with its sources. Charts zoom, show values and hide lines.
     It is readable in light and dark mode, on a phone and on paper.
     """
-    from ._console import console
 
     write_page(folders, out)
     if as_json:

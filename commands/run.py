@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ._console import console
 from ._options import AsJson, Changes, Out, Scenarios, Seed, with_plugins
 
 EXAMPLES = (
@@ -29,7 +30,6 @@ def command(
     as_json: AsJson = False,
 ) -> Any:
     """Run scenarios; write signals, estimates, metrics, figures and a Rerun recording, for an arm of every joint."""
-    from ._console import console
     from ._runs import metrics_of, print_notes, run_all
 
     runs = run_all(scenarios, out, seed, changes, figures, recording)

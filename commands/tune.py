@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError
+from ..models.output import check_output, output_folder
+from ._console import console, progress
 from ._options import AsJson, Changes, Estimators, Jobs, SomeScenarios, Vary, with_plugins
 
 if TYPE_CHECKING:
@@ -48,12 +50,10 @@ def command(
     Writes `tuned.yaml`, whose `filters` can be copied into a scenario, per scenario or, with --together, once.
     """
     training, testing = _seeds(train, "--train"), _seeds(test, "--test")
-    from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import tuning
     from ..scenarios.filters import estimators
     from ..views.limit_tables import TUNED_HEADS, tuned_rows, tuned_table
     from ..views.tables import markdown_table
-    from ._console import console, progress
     from ._runs import PAPER, load_all
 
     tuning.check_seeds(training, testing)
