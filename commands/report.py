@@ -76,7 +76,11 @@ def _page(folders: Sequence[Path]) -> str:
         raise InputError(f"report: expected one folder, or two diagnoses, got {len(folders)}")
     (folder,) = folders
     if (folder / "diagnosis.json").is_file():
-        return _diagnosis(folder)
+        page = folder / "report.html"
+        if not page.is_file():
+            why = "expected the page of the diagnosis, found none; diagnose again without --no-report"
+            raise InputError(f"{page}: {why}")
+        return page.read_text(encoding="utf-8")
     if (folder / "validation.json").is_file():
         from ..views.pages.validation import read_validation, validation_html
 
@@ -103,13 +107,6 @@ def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
     scenario, _ = load_any(arm)
     order = [joint.name for joint in getattr(scenario, "arm", ())]
     return sorted(folders, key=lambda folder: order.index(folder.name) if folder.name in order else len(order))
-
-
-def _diagnosis(folder: Path) -> str:
-    page = folder / "report.html"
-    if not page.is_file():
-        raise InputError(f"{page}: expected the page of the diagnosis, found none; diagnose again without --no-report")
-    return page.read_text(encoding="utf-8")
 
 
 def _runs(folders: list[Path], arm: Path | None = None) -> str:

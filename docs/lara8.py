@@ -7,9 +7,10 @@ python -m docs.lara8 joint3_outbound.csv --write  # and models/lara8_joint3_exte
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -77,12 +78,15 @@ def fit_current(
     # One number every grid step: of those within the vibration's memory, together one is news.
     sigma = SENSOR_NOISE * np.sqrt(SENSOR_MEMORY / smoothed.STEP)
 
+    def by_cause(values: Iterable[Any]) -> dict[str, dict[str, Any]]:
+        found: dict[str, dict[str, Any]] = {name: {} for name in names}
+        for (name, q), value in zip(parameters, values, strict=True):
+            found[name][q.name] = value
+        return found
+
     def residual(u: np.ndarray) -> np.ndarray:
         record = bare.copy()
-        for name in names:
-            own = {
-                q.name: a + s * x for (n, q), a, s, x in zip(parameters, present, spread, u, strict=True) if n == name
-            }
+        for name, own in by_cause(present + spread * u).items():
             causes.get(name).apply(record[0], own)
         own_joint = replace(known, record=record)
         torque = smoothed.torque_from_current(motion, own_joint) - own_joint.p["bl"] * motion.link_velocity
@@ -90,10 +94,8 @@ def fit_current(
 
     found = least_squares(residual, np.zeros(len(parameters)), diff_step=1e-3)
     std = spread * np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
-    values = {
-        (n, q.name): (a, q.unit, s) for (n, q), a, s in zip(parameters, present + spread * found.x, std, strict=True)
-    }
-    return [_effect(name, {key: v for (n, key), v in values.items() if n == name}) for name in names]
+    values = zip(present + spread * found.x, (q.unit for _, q in parameters), std, strict=True)
+    return [_effect(name, own) for name, own in by_cause(values).items()]
 
 
 def fit_eccentricity(recording: Recording, joint: Joint, use: np.ndarray | None = None) -> Effect:
@@ -156,6 +158,7 @@ def extend(recording: Recording, joint: Joint, use: np.ndarray | None = None) ->
 
 
 ESTIMATORS = ("model", "EKF", "AREKF", "RAREKF", "current", "current_smoothed", "payload", "payload_smoothed")
+ASSUMED = ("RAREKF", "current", "payload_smoothed")
 DIAGNOSED = ("model", "RAREKF", "current", "payload_smoothed")
 
 
@@ -191,12 +194,6 @@ def hold_outs(q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         block = (q > low) & (q <= low + 0.65)
         found[f"test {low:.2f} < q ≤ {low + 0.65:.2f}, fit the others"] = (~block, block)
     return found
-
-
-def published(path: Path) -> np.ndarray:
-    """The published way: feed-forward less torque of the motor current [N·m]."""
-    log = np.genfromtxt(path, delimiter=",", names=True)
-    return log["target_joint_torque_3"] - log["joint_torque_current_3"]
 
 
 def feed_forward(recording: Recording, path: Path) -> tuple[np.ndarray, float]:
@@ -238,8 +235,10 @@ def remembered(recording: Recording) -> tuple[float, list[float]]:
 
 
 def table(recording: Recording, path: Path) -> list[tuple[str, list[float]]]:
-    """RMS [N·m] in motion, on samples that the fit did not see: published way, then every estimator."""
-    joint, before = load_joint(recording.joint), published(path) - recording["external_torque"]
+    """RMS [N·m] in motion, on samples that the fit did not see: published way (feed-forward less torque of the
+    motor current), then every estimator."""
+    joint, log = load_joint(recording.joint), np.genfromtxt(path, delimiter=",", names=True)
+    before = log["target_joint_torque_3"] - log["joint_torque_current_3"] - recording["external_torque"]
     rows = []
     for name, (fit, test) in hold_outs(recording["link_position"]).items():
         where = test & moving(recording)
@@ -315,12 +314,11 @@ SHARES = (("as much", 1.0), ("half as much", 0.5), ("none", 0.0), ("a wrong gain
 def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
     """RMS [N·m] at q > 0 under assumed truths: the whole sweep estimated, and the second half alone."""
     joint, n = extend(recording, load_joint(recording.joint)), len(recording.time)
-    names = ("RAREKF", "current", "payload_smoothed")
     rows = []
     for name, share in SHARES:
         whole, test = mirrored(recording, joint, share)
         second = whole.at(np.arange(n, len(whole.time)))
-        rows.append((name, errors(whole, joint, names, test) + errors(second, joint, names, test[n:])))
+        rows.append((name, errors(whole, joint, ASSUMED, test) + errors(second, joint, ASSUMED, test[n:])))
     return rows
 
 
@@ -393,16 +391,8 @@ def main() -> None:
     rows = [(name, *(f"{v:.2f}" for v in values)) for name, values in table(recording, path)]
     print(markdown_table(("held out", "current − feed-forward", *ESTIMATORS), rows), end="\n\n")
     rows = [(name, *(f"{v:.2f}" for v in values)) for name, values in assumed(recording)]
-    heads = (
-        "friction when the load drives",
-        "whole: RAREKF",
-        "current",
-        "payload",
-        "alone: RAREKF",
-        "current",
-        "payload",
-    )
-    print(markdown_table(heads, rows), end="\n\n")
+    heads = (f"{part}: {name}" for part in ("whole", "alone") for name in ASSUMED)
+    print(markdown_table(("friction when the load drives", *heads), rows), end="\n\n")
     rows = []
     for name, answer, nominal, extended in diagnosed(recording):
         found_causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict

@@ -60,18 +60,13 @@ def with_interval(value: Interval, scale: float = 1.0) -> str:
 def sweep_rows(aggregates: Sequence[Aggregate]) -> Iterator[tuple[str, dict, dict[str, Aggregate]]]:
     """Yield rows: scenario, point of the axes, filter → summary. A filter that an axis does not vary is in all its rows."""
     whole = [s for s in aggregates if None not in s.columns.values()] or list(aggregates)
-    seen = set()
+    points: dict[tuple, Aggregate] = {}
     for s in whole:
-        key = (s.scenario, *s.columns.values())
-        if key in seen:
-            continue
-        seen.add(key)
-        at = [
-            o
-            for o in aggregates
-            if o.scenario == s.scenario and all(v is None or v == s.columns[k] for k, v in o.columns.items())
-        ]
-        yield s.scenario, s.columns, {o.filter: o for o in at}
+        points.setdefault((s.scenario, *s.columns.values()), s)
+    for s in points.values():
+        here = (o for o in aggregates if o.scenario == s.scenario)
+        at = {o.filter: o for o in here if all(v is None or v == s.columns[k] for k, v in o.columns.items())}
+        yield s.scenario, s.columns, at
 
 
 class FirstThatFits:
