@@ -210,7 +210,6 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
         "joint": run.joint.name,
         "duration": run.scenario.duration,
         "seed": run.scenario.seed,
-        "folder": str(folder),
         "rows": rows,
         "doubts": doubts({folder.name if joint else run.name: metrics}),
         "best": best,
@@ -219,7 +218,6 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
             ("measured", "torque sensor"),
             *((kinds[n], marked(n, metrics)) for n in run.estimates),
         ],
-        "motion": [("after", "true"), ("measured", "measured"), ("backward", "external")],
         "charts": _charts(run, kinds),
     }
 

@@ -88,7 +88,6 @@ def validation_html(found: Validated) -> str:
     answer = found.answer
     context = {
         "joint": answer["joint"],
-        "holds": _holds(answer),
         "sentence": _verdict(answer),
         "channels": [(name, e, _worst(answer, name)) for name, e in answer["residual"].items()],
         "mistakes": [_mistake(m) for m in answer["mistakes"]],
