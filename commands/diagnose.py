@@ -6,7 +6,6 @@ import math
 import shlex
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -55,7 +54,8 @@ def command(
     if seconds is not None and not seconds > 0:
         raise InputError(f"--time {seconds:g}: expected more than 0 s")
     data, described = load_measurement(measurement, joint)
-    _check_apart(measurement, out)
+    if measurement.is_dir() and out.resolve().is_relative_to(measurement.resolve()):
+        raise InputError(f"--out {out}: expected a folder that is not in the measurement's, {measurement}")
     check_output(out, "diagnose", inputs=[*data.files, measurement, described.path], whole=True)
     if exact:
         from ..diagnosis.trials.draw import exactly
@@ -103,12 +103,6 @@ def command(
     if as_json:
         return answer
     show(console(), shown, report)
-
-
-def _check_apart(measurement: Path, out: Path) -> None:
-    """Refuse output among what is measured: inside a folder of recordings."""
-    if measurement.is_dir() and out.resolve().is_relative_to(measurement.resolve()):
-        raise InputError(f"--out {out}: expected a folder that is not in the measurement's, {measurement}")
 
 
 def show(terminal: Console, report: Report, written: bool) -> None:

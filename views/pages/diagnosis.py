@@ -67,7 +67,7 @@ class Compared:
 def html(report: Report) -> str:
     """Return the page as text: one file without references to others."""
     d, gained, recordings = report.diagnosis, report.improvement, report.measurement.recordings
-    found, valid = balances(report), d.extended.valid
+    found = balances(report)
     rows = [Compared(*row) for row in held_out_rows(d, None)]
     noise = gained.noise if gained is not None else 0.0
     errors = gained.errors.items() if gained is not None else ()
@@ -76,11 +76,6 @@ def html(report: Report) -> str:
         (name, meaning(name), with_std(m.nominal, 0.0, m.unit), with_std(m.value, m.std, m.unit), m.moved)
         for name, m in d.calibration.items()
     ]
-    ranges = (
-        ("link angle", "link_position", "rad"),
-        ("link velocity", "link_velocity", "rad/s"),
-        ("joint torque", "joint_torque", "N·m"),
-    )
     context = {
         "d": d,
         "name": report.measurement.name,
@@ -111,9 +106,6 @@ def html(report: Report) -> str:
         "balances": residual_charts.by_variable(found),
         "measured_response": response_context(report.response),
         "channels": rows,
-        "valid": [
-            (name, *(number(x, 3) for x in getattr(valid, field)), unit) for name, field, unit in ranges if valid is not None
-        ],
         "estimators": estimators,
         "improvement": gained,
         "trace": residual_charts.trace(gained) if gained is not None else None,

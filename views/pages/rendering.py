@@ -8,6 +8,8 @@ from __future__ import annotations
 import hashlib
 import platform
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from functools import cache
 from importlib import metadata
@@ -17,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from ...models.errors import InputError
+from ...models.files import check_format, read_json
 from ..glossary import meaning, pieces
 from ..numbers import number, percent
 from ..report import plain
@@ -57,6 +61,17 @@ def evidence(value: float) -> str:
 def sentence(text: str) -> str:
     """Return a text with a capital at its beginning and a full stop at its end."""
     return text[:1].upper() + text[1:].rstrip(".") + "."
+
+
+@contextmanager
+def output_of(path: Path, command: str) -> Iterator[dict[str, Any]]:
+    """Read a JSON file of a command, whose keys and types the block checks. Raises `InputError`: other content."""
+    answer = read_json(path, f"the output of flexspline {command}")
+    check_format(answer, path)
+    try:
+        yield answer
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: expected the output of flexspline {command}, got something else") from error
 
 
 def now() -> str:

@@ -11,14 +11,13 @@ from typing import Any
 from ...models import causes, plugins
 from ...models.calibration import slots
 from ...models.errors import InputError
-from ...models.files import check_format, read_json
 from ...models.joint import Joint, load_joint
 from ...models.joint_parts import Number
 from ...models.parameters import short_way
 from ..glossary import meaning
 from ..numbers import with_std
 from ..report import listed, plain
-from .rendering import file_digest, render
+from .rendering import file_digest, output_of, render
 
 _DELAYS = ("current_delay", "torque_sensor_delay")
 """Delays of sensors that a diagnosis finds, by their names in its answer."""
@@ -66,13 +65,8 @@ class NumberChange:
 
 def read_diagnosis(folder: Path) -> Diagnosed:
     """Read a diagnosis from its folder. Raises `InputError`: a folder without a diagnosis."""
-    path = folder / "diagnosis.json"
-    answer = read_json(path, "a diagnosis")
-    check_format(answer, path)
-    try:
+    with output_of(folder / "diagnosis.json", "diagnose") as answer:
         _check(answer)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: expected the output of flexspline diagnose, got something else") from error
     return Diagnosed(folder, answer, load_joint(str(folder / "joint.yaml")))
 
 

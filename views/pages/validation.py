@@ -12,14 +12,13 @@ import numpy as np
 
 from ...models import plugins
 from ...models.errors import InputError
-from ...models.files import check_format, read_json
 from ...models.joint_parts import beyond_sentence
 from ...models.recording import LARGEST
 from ...models.tables import read_table
 from ..numbers import number, percent
 from ..report import listed, plain
 from .chart import Chart, limits
-from .rendering import file_digest, render
+from .rendering import file_digest, output_of, render
 from .residual_charts import Group
 
 HELD = 0.9  # A description holds for a channel if this share of the samples in motion is inside the 95 % band
@@ -42,10 +41,7 @@ class Validated:
 
 def read_validation(folder: Path) -> Validated:
     """Read a validation from its folder. Raises `InputError`: a folder without a validation, or with other tables."""
-    path = folder / "validation.json"
-    answer = read_json(path, "a validation")
-    check_format(answer, path)
-    try:
+    with output_of(folder / "validation.json", "validate") as answer:
         for e in answer["residual"].values():
             e |= {key: float(e[key]) for key in ("rms", "mean", "noise", "inside")} | {"samples": int(e["samples"])}
             e["unit"]
@@ -55,8 +51,6 @@ def read_validation(folder: Path) -> Validated:
             region["by"], region["unit"]
         answer["joint"], dict(answer["beyond"]), [m["description"] for m in answer["mistakes"]]
         names = [str(name) for name in answer["recordings"]]
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path}: expected the output of flexspline validate, got something else") from error
     tables = {name: read_table(folder / f"{name}.parquet")[0] for name in names}
     for name, columns in tables.items():
         wanted = {f"{channel}{end}" for channel in _channels(columns) for end in _ENDS}
