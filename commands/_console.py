@@ -1,15 +1,18 @@
-"""The consoles of the commands: results to stdout, progress to stderr."""
+"""The consoles of the commands: results, tables and lists to stdout, progress to stderr."""
 
 from __future__ import annotations
 
+import re
+import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, ProgressColumn
 
 _WIDTH = 132  # columns where the output is not a terminal
 
@@ -39,23 +42,58 @@ def print_table(
     terminal.print(table)
 
 
+@dataclass(frozen=True)
+class Entry:
+    """An entry of a list: its kind in a few words, a line of description, and its source."""
+
+    kind: str
+    description: str
+    source: str
+
+
+def show(what: str, entries: Mapping[str, Entry], as_json: bool) -> None:
+    """Print a list in 80 columns, or as JSON; `what`: heading of the names."""
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text(dict(entries)))
+        return
+    from rich.table import Table
+    from rich.text import Text
+
+    terminal = console()
+    table = Table(box=None, show_edge=False, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    longest = max(map(len, entries), default=0)
+    table.add_column(what, no_wrap=longest <= terminal.width // 3, overflow="fold", style="bold")
+    table.add_column("", overflow="fold")
+    for name, entry in entries.items():
+        text = Text.assemble((f"{entry.kind}. " if entry.kind else "", "dim"), _first_sentence(entry.description))
+        if entry.source and entry.source != __name__.split(".")[0]:
+            text.append(f" ({_line(entry.source)})", style="dim")
+        table.add_row(Text(name), text)
+    terminal.print(table)
+
+
+def _first_sentence(text: str) -> str:
+    return re.split(r"(?<=[\w)]{2}\.) (?=[A-Zθ])", _line(text))[0].rstrip(".")
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
 def progress(counting: bool = False, remaining: bool = False) -> Progress:
     """Return a progress bar that disappears, on a terminal only; with a count and the remaining time, if asked for."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    columns: list[ProgressColumn] = [TextColumn("{task.description}"), BarColumn()]
-    columns += [MofNCompleteColumn()] if counting else []
-    columns += [TimeElapsedColumn()]
-    columns += [TimeRemainingColumn()] if remaining else []
+    count, rest = [MofNCompleteColumn()] if counting else [], [TimeRemainingColumn()] if remaining else []
+    return _bar(TextColumn("{task.description}"), BarColumn(), *count, TimeElapsedColumn(), *rest)
+
+
+def _bar(*columns: ProgressColumn) -> Progress:
+    from rich.console import Console
+    from rich.progress import Progress
+
     terminal = Console(stderr=True)
     terminal.quiet = not terminal.is_terminal  # otherwise Rich 13 ends with an empty line
     return Progress(*columns, console=terminal, transient=True, disable=not terminal.is_terminal)
@@ -67,35 +105,21 @@ def stages(what: str) -> Iterator[Callable[[str, float], None]]:
 
     On a terminal it is a bar that disappears, elsewhere a line per stage. The share never decreases.
     """
-    from rich.console import Console
-
-    terminal = Console(stderr=True, emoji=False)
-    begin, most, last = time.monotonic(), 0.0, ""
-    if not terminal.is_terminal:
-
-        def line(stage: str, done: float) -> None:
-            nonlocal most, last
-            most = max(most, done)
-            if stage != last:
-                last = stage
-                text = f"{time.monotonic() - begin:6.1f} s {100 * most:3.0f} %  {stage}"
-                terminal.print(text, markup=False, highlight=False)
-
-        yield line
-        return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
 
-    stage_column = TextColumn(
-        "{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis")
-    )
-    columns = (SpinnerColumn(), stage_column, BarColumn(20), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=terminal, transient=True) as bar:
+    column = Column(no_wrap=True, overflow="ellipsis")
+    stage_column = TextColumn("{task.description}", markup=False, table_column=column)
+    begin, most, last = time.monotonic(), 0.0, ""
+    with _bar(SpinnerColumn(), stage_column, BarColumn(20), TaskProgressColumn(), TimeElapsedColumn()) as bar:
         task = bar.add_task(what, total=1.0)
 
         def update(stage: str, done: float) -> None:
-            nonlocal most
+            nonlocal most, last
             most = max(most, done)
             bar.update(task, description=stage, completed=most)
+            if bar.disable and stage != last:
+                print(f"{time.monotonic() - begin:6.1f} s {100 * most:3.0f} %  {stage}", file=sys.stderr)
+            last = stage
 
         yield update

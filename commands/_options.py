@@ -28,6 +28,7 @@ def shipped(room: str) -> Callable[[str], list[str]]:
     return names
 
 
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 MeasurementPath = Annotated[Path, typer.Argument(help="a recording, or a folder of several of the same joint")]
 ResultFolder = Annotated[Path, typer.Option(help="folder to write to")]
 OtherJoint = Annotated[str | None, typer.Option(help="name or path of a joint; by default the recordings' joint")]

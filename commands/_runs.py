@@ -78,9 +78,9 @@ def run_all(
 def _import(figures: bool, recording: bool) -> None:
     """Import the libraries for drawing while scenarios run: simulations do not hold the interpreter's lock."""
     package = __name__.partition(".")[0]
-    names = [f"{package}.views.figures.{name}" for name in ("error", "experiments", "filters", "overview", "zoom")]
-    for name in (*(names if figures else ()), *([f"{package}.views.rerun"] if recording else ())):
-        importlib.import_module(name)
+    for name, wanted in (("figures.paper", figures), ("figures.run", figures), ("rerun", recording)):
+        if wanted:
+            importlib.import_module(f"{package}.views.{name}")
 
 
 _drawing = threading.Lock()  # held while figures are drawn: matplotlib's settings are those of the whole process

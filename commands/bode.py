@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ._listing import AsJson
+from ..models.output import check_output, made_from, output_folder
 from ._measurement import load_measurement
-from ._options import OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, OtherJoint, ResultFolder, with_plugins
 
 EXAMPLES = ("flexspline bode measurement --out bode", "flexspline bode my_chirp.yaml --out bode")
 
@@ -29,28 +29,26 @@ def command(
     import pandas as pd
 
     from ..diagnosis.bode import response
-    from ..models.output import check_output, made_from, output_folder
     from ..models.recording import Measurement
     from ..views.figures.bode import bode_figure
     from ..views.figures.sheet import save
 
     maker, names = made_from("bode", source), ["bode.csv", "bode.png"]
     path = Path(source)
-    if path.exists() and path.suffix not in (".yaml", ".yml"):
+    measured = path.exists() and path.suffix not in (".yaml", ".yml")
+    if measured:
         data, described = load_measurement(path, joint)
-        inputs = data.files
-    else:
+    inputs = data.files if measured else [path] if path.exists() else []
+    check_output(out, maker, inputs=inputs, writes=names)
+    if not measured:
         from ..models.joint import load_joint
         from ..scenarios.run import run_scenario
         from ..scenarios.scenario import load_scenario
 
-        inputs = [path] if path.exists() else []
-        check_output(out, maker, inputs=inputs, writes=names)
         scenario, folder = load_scenario(source)
         run = run_scenario(scenario, folder)
         data = Measurement(run.name, path, (run.as_recording(),))
         described = load_joint(joint) if joint is not None else scenario.load_joint(folder)[1]
-    check_output(out, maker, inputs=inputs, writes=names)
     found = response(data, described)
     columns = {
         "frequency [Hz]": found.frequency,

@@ -7,8 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from ._listing import AsJson
-from ._options import Changes, Estimators, SomeScenarios, Vary, with_plugins
+from ..models.errors import InputError
+from ..models.output import check_output, output_folder
+from ._console import console, progress
+from ._options import AsJson, Changes, Estimators, SomeScenarios, Vary, with_plugins
 
 EXAMPLES = (
     "flexspline bound link_sweep --seeds 5",
@@ -49,12 +51,9 @@ def command(
     joint that is known within its tolerances. In a scripted scenario, an adaptive filter may be below the bound; with
     `--walk` it cannot.
     """
-    from ..models.errors import InputError
-    from ..models.output import check_output, output_folder
     from ..scenarios.evaluation.limits import assess, fitted_intensity, matched
     from ..scenarios.filters import estimators
     from ..views.limit_tables import limits_table, summary_rows, write_limits, write_summary
-    from ._console import console, progress
     from ._runs import PAPER, load_all
 
     chosen = estimators(filter_ or ())
@@ -82,12 +81,13 @@ def command(
         for limits in found:
             terminal.print(limits_table(limits))
     if out is not None:
-        from ..views.limit_figures import limits_figure, save_figure
+        from ..views.figures.sheet import save
+        from ..views.limit_figures import limits_figure
 
         with output_folder(out, "bound") as folder:
             for limits in found:
                 write_limits(limits, folder / limits.scenario / "limits.parquet")
-                save_figure(limits_figure(limits), folder / limits.scenario / "limits.png")
+                save(limits_figure(limits), folder / limits.scenario / "limits.png", 110)
             write_summary(found, folder / "summary.csv")
         if not as_json:
             terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario")

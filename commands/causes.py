@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ._listing import AsJson
-from ._options import with_plugins
+from ._console import Entry, show
+from ._options import AsJson, with_plugins
 
 EXAMPLES = ("flexspline causes", "flexspline causes --json --plugin my_cause.py")
 
@@ -15,7 +15,6 @@ def command(as_json: AsJson = False) -> None:
     Sources are files of `models/causes`, with the law and its reference, installed packages, and files (`--plugin`).
     """
     from ..models import causes
-    from ._listing import Entry, show
 
     entries = {}
     for name in causes.names():

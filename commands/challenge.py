@@ -14,8 +14,8 @@ import typer
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ..models.processes import single_threaded
-from ._listing import AsJson
-from ._options import Jobs, with_plugins
+from ._console import console, print_table, progress
+from ._options import AsJson, Jobs, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -109,7 +109,6 @@ def command(
     single_threaded()
     from ..diagnosis.trials import score
     from ..diagnosis.trials.draw import Challenge
-    from ._console import console
 
     given = list(dict.fromkeys(hidden or ()))
     kinds: list[Kind] = [h.value for h in given] if given else ["one"] if cause else list(_KINDS)
@@ -142,7 +141,6 @@ def command(
 def _outcomes(asked: list[Challenge], draws: int, scanned: tuple[float, ...], jobs: int) -> list[Outcome]:
     """Diagnose draws of every challenge at every size, with a progress bar."""
     from ..diagnosis.trials import score
-    from ._console import progress
 
     outcomes: list[Outcome] = []
     with progress(counting=True, remaining=True) as bar:
@@ -180,7 +178,6 @@ def _sizes(text: str) -> tuple[float, ...]:
 
 def _show(terminal: Console, how: str, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
     from ..diagnosis.trials import score
-    from ._console import print_table
 
     rows = []
     for row in score.rows([o for o in outcomes if o.size == max(sizes)]):
@@ -216,7 +213,6 @@ def _cell(value: object) -> str:
 
 def _show_confusion(terminal: Console, confusion: Mapping[str, Any]) -> None:
     from ..diagnosis.trials.outside import OUTSIDE
-    from ._console import print_table
 
     rows = []
     for truth, named in confusion.items():
@@ -236,7 +232,6 @@ def _show_sizes(terminal: Console, outcomes: Sequence[Outcome], sizes: Sequence[
     import numpy as np
 
     from ..diagnosis.trials import score
-    from ._console import print_table
 
     if not any(o.smallest is not None for o in outcomes):
         return

@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ._listing import AsJson
-from ._measurement import load_measurement
-from ._options import MeasurementPath, OtherJoint, with_plugins
+from ..models.memory import give_back_large_arrays
+from ._console import console, print_table
+from ._measurement import load_measurement, print_mistakes
+from ._options import AsJson, MeasurementPath, OtherJoint, with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.check import Check
@@ -25,9 +26,6 @@ def command(measurement: MeasurementPath, joint: OtherJoint = None, as_json: AsJ
     from ..diagnosis.data import coverage
     from ..models import causes
     from ..models.command_lines import mending
-    from ..models.memory import give_back_large_arrays
-    from ._console import console, print_table
-    from ._mistakes import print_mistakes
 
     give_back_large_arrays()
     given, described = load_measurement(measurement, joint)

@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ._listing import AsJson
-from ._options import Changes, Out, Seed, SomeScenarios, with_plugins
+from ..models.output import output_folder
+from ._console import console
+from ._options import AsJson, Changes, Out, Seed, SomeScenarios, with_plugins
 
 EXAMPLES = (
     "flexspline compare",
@@ -29,8 +30,6 @@ def command(
 ) -> Any:
     """Compare filters: error, noise, delay, response time, robust share, NIS."""
     from ..models.files import json_text
-    from ..models.output import output_folder
-    from ._console import console
     from ._runs import PAPER, metrics_of, print_notes, run_all
 
     with output_folder(out, "compare", writes=("comparison.json", "comparison.md")) as folder:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._listing import AsJson
-from ._options import Changes, Jobs, shipped, with_plugins
+from ..models.output import check_output, output_folder
+from ._console import console, progress
+from ._options import AsJson, Changes, Jobs, shipped, with_plugins
 
 if TYPE_CHECKING:
     from ..scenarios.evaluation.contact import ContactStudy
@@ -58,12 +59,10 @@ def command(
     with drawn pushes. Every run has another joint within tolerance, another motion and other noise.
     """
     from ..models import plugins
-    from ..models.output import check_output
     from ..scenarios.evaluation import contact
     from ..scenarios.filters import estimators
     from ..scenarios.scenario import load_scenario
     from ..views import contact_views
-    from ._console import console, progress
 
     shares = tolerance or [0.0, 1.0]
     chosen = estimators(filter_ or contact.DEFAULT)
@@ -101,12 +100,11 @@ def command(
 
 def _write(out: Path, answer: dict[str, Any], found: ContactStudy) -> None:
     from ..models.files import write_json, write_rows
-    from ..models.output import output_folder
     from ..views import contact_views
-    from ..views.limit_figures import save_figure
+    from ..views.figures.sheet import save
 
     with output_folder(out, "contact") as new:
         write_json(new / "contact.json", answer)
         write_rows(new / "contact.csv", list(found.curves))
         (new / "contact.md").write_text(contact_views.contact_markdown(answer), encoding="utf-8")
-        save_figure(contact_views.contact_figure(found.curves, found.scenario), new / "contact.png")
+        save(contact_views.contact_figure(found.curves, found.scenario), new / "contact.png", 110)

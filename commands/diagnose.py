@@ -6,15 +6,16 @@ import math
 import shlex
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..models.errors import InputError
-from ._listing import AsJson
+from ..models.memory import give_back_free_pages, give_back_large_arrays
+from ..models.output import check_output, output_folder
+from ._console import console, stages
 from ._measurement import load_measurement
-from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,16 +48,14 @@ def command(
 
     Writes `joint.yaml`, the description with the causes in it, `diagnosis.json`, and a report.
     """
-    from ..models.files import write_json
-    from ..models.memory import give_back_free_pages, give_back_large_arrays
-    from ..models.output import check_output, output_folder
-    from ._console import console, stages
+    from ..models.files import write_json, write_text
 
     give_back_large_arrays()
     if seconds is not None and not seconds > 0:
         raise InputError(f"--time {seconds:g}: expected more than 0 s")
     data, described = load_measurement(measurement, joint)
-    _check_apart(measurement, out)
+    if measurement.is_dir() and out.resolve().is_relative_to(measurement.resolve()):
+        raise InputError(f"--out {out}: expected a folder that is not in the measurement's, {measurement}")
     check_output(out, "diagnose", inputs=[*data.files, measurement, described.path], whole=True)
     if exact:
         from ..diagnosis.trials.draw import exactly
@@ -95,21 +94,15 @@ def command(
             shown = Report(data, described, found, gained, found.plan, out)
             if report:
                 from ..diagnosis.bode import excited_response
-                from ..views.pages import write_report
+                from ..views.pages.diagnosis import html
                 from ..views.rerun import write_rerun_report
 
                 response = excited_response(shown.used, found.extended) if found.problem is not None else None
-                write_report(replace(shown, response=response), folder / "report.html")
+                write_text(folder / "report.html", html(replace(shown, response=response)))
                 write_rerun_report(shown, folder / "report.rrd")
     if as_json:
         return answer
     show(console(), shown, report)
-
-
-def _check_apart(measurement: Path, out: Path) -> None:
-    """Refuse output among what is measured: inside a folder of recordings."""
-    if measurement.is_dir() and out.resolve().is_relative_to(measurement.resolve()):
-        raise InputError(f"--out {out}: expected a folder that is not in the measurement's, {measurement}")
 
 
 def show(terminal: Console, report: Report, written: bool) -> None:

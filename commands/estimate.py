@@ -7,9 +7,11 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError, InputWarning
-from ._listing import AsJson
+from ..models.memory import give_back_free_pages, give_back_large_arrays
+from ..models.output import check_output, made_from, output_folder
+from ._console import console
 from ._measurement import load_measurement
-from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -58,9 +60,6 @@ def command(
     from ..estimator.offline import beyond_range, estimate_recording, lacking, write_estimates
     from ..estimator.scoring import no_estimates
     from ..models.files import plain, write_json
-    from ..models.memory import give_back_free_pages, give_back_large_arrays
-    from ..models.output import check_output, made_from, output_folder
-    from ._console import console
 
     give_back_large_arrays()
     data, described = load_measurement(measurement, joint)

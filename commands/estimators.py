@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ._listing import AsJson
-from ._options import with_plugins
+from ._console import Entry, show
+from ._options import AsJson, with_plugins
 
 EXAMPLES = ("flexspline estimators", "flexspline estimators --plugin my_filter.py --json")
 
@@ -16,7 +16,6 @@ def command(as_json: AsJson = False) -> None:
     """
     from ..estimator import registry
     from ..models.step import PythonStep
-    from ._listing import Entry, show
 
     entries = {}
     for name in registry.names():

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..models.errors import InputError
-from ._listing import AsJson
+from ..models.errors import InputError, read_text
+from ..models.output import check_output, made_from, output_folder
+from ._console import console
 from ._measurement import load_measurement, read_measurement_files
-from ._options import with_plugins
+from ._options import AsJson, with_plugins
 
 if TYPE_CHECKING:
     from ..models.joint import Joint
@@ -53,40 +54,6 @@ def command(
         if alone := [name for name, value in given.items() if value]:
             raise InputError(f"{alone[0]}: expected it with --to, got it alone")
         return _recordings(Path(source), out, as_json)
-    return _joint(source, to, measurement, into, hinge, rigid, draws, seed, out, as_json)
-
-
-def _recordings(measurement: Path, out: Path, as_json: bool) -> Any:
-    from ..diagnosis.data.exporting import write_mcap
-    from ..models.output import check_output, made_from, output_folder
-    from ._console import console
-
-    data = read_measurement_files(measurement)
-    maker, names = made_from("export", measurement), [f"{recording.name}.mcap" for recording in data.recordings]
-    check_output(out, maker, inputs=data.files, writes=names)
-    with output_folder(out, maker, inputs=data.files, writes=names) as folder:
-        for recording, name in zip(data.recordings, names, strict=True):
-            write_mcap(recording, folder / name)
-    if as_json:
-        return {r.name: {"file": str(out / name)} for r, name in zip(data.recordings, names, strict=True)}
-    terminal = console()
-    for name in names:
-        terminal.print(f"{out / name}")
-
-
-def _joint(
-    source: str,
-    to: str,
-    measurement: Path | None,
-    into: Path | None,
-    hinge: str | None,
-    rigid: bool,
-    draws: int,
-    seed: int,
-    out: Path,
-    as_json: bool,
-) -> Any:
-    from ..models.errors import read_text
     from ..models.files import write_json, write_text
     from ..models.joint import load_joint
     from ..models.mjcf import inherited
@@ -141,7 +108,22 @@ def _joint(
         write_json(drawn, {"format": 1, "seed": seed, "draws": list(found.draws)})
     if as_json:
         return found.to_json() | {"file": str(out)} | ({"draws": str(drawn)} if draws else {})
-    from ._console import console
 
     for line in [*notes, str(out), *([str(drawn)] if draws else [])]:
         console().print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _recordings(measurement: Path, out: Path, as_json: bool) -> Any:
+    from ..diagnosis.data.exporting import write_mcap
+
+    data = read_measurement_files(measurement)
+    maker, names = made_from("export", measurement), [f"{recording.name}.mcap" for recording in data.recordings]
+    check_output(out, maker, inputs=data.files, writes=names)
+    with output_folder(out, maker, inputs=data.files, writes=names) as folder:
+        for recording, name in zip(data.recordings, names, strict=True):
+            write_mcap(recording, folder / name)
+    if as_json:
+        return {r.name: {"file": str(out / name)} for r, name in zip(data.recordings, names, strict=True)}
+    terminal = console()
+    for name in names:
+        terminal.print(f"{out / name}")

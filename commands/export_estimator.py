@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..models.errors import InputError
+from ._console import console
 from ._options import with_plugins
 
 EXAMPLES = (
@@ -34,7 +35,6 @@ def command(
     from ..estimator.export_c import header
     from ..models.files import write_text
     from ..models.joint import load_joint
-    from ._console import console
 
     if to != "c":
         raise InputError(f"--to {to}: expected c")

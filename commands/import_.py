@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError, InputWarning, check_each_once
-from ._listing import AsJson
-from ._measurement import read_measurement_files
-from ._options import with_plugins
+from ..models.output import check_output, output_folder
+from ._console import console
+from ._measurement import print_mistakes, read_measurement_files
+from ._options import AsJson, with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
@@ -61,9 +62,6 @@ def command(
     With `--fix`, common mistakes (units, signs, columns exchanged or late, …) are found and corrected. This also works for a
     measurement in this program's format: `flexspline import MEASUREMENT --fix --out DIR`.
     """
-    from ..models.output import check_output, output_folder
-    from ._console import console
-    from ._mistakes import print_mistakes
 
     if propose:
         if len(what) != 1 or out is not None:
@@ -75,7 +73,7 @@ def command(
     if out is None:
         raise InputError("--out: expected the folder that the recordings are written to, got none")
     terminal = console()
-    measurement, home, inputs = _read(what, joint, name)
+    measurement, inputs = _read(what, joint, name)
     written = [f"{recording.name}{suffix}" for recording in measurement.recordings for suffix in (*_ENDS, ".csv")]
     for file in written:
         if not force and (out / file).exists():
@@ -88,10 +86,10 @@ def command(
         if not as_json and (mistakes or clean):
             print_mistakes(terminal, mistakes, corrected=True)
     with output_folder(out, "import", inputs=inputs, writes=written) as folder:
-        imported = {
-            recording.name: _write(replace(recording, joint=_relative_joint(recording.joint, home, out)), folder, out)
-            for recording in measurement.recordings
-        }
+        imported = {}
+        for recording in measurement.recordings:
+            described_by = _relative_joint(recording.joint, measurement.folder, out)
+            imported[recording.name] = _write(replace(recording, joint=described_by), folder, out)
     if as_json:
         return {"recordings": imported, "mended": mistakes}
     for one in imported.values():
@@ -150,13 +148,13 @@ def _write(recording: Recording, folder: Path, out: Path) -> dict[str, Any]:
     }
 
 
-def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, Path, list[Path]]:
-    """Return the recordings, the folder to which their joint's path is relative, and the files that were read."""
+def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, list[Path]]:
+    """Return the recordings, in the folder to which their joint's path is relative, and the files that were read."""
     from ..diagnosis.data.importing import import_recordings, known_layouts, load_layout, unfitting
     from ..models.files import check_name
     from ..models.recording import Measurement
 
-    here = Path()
+    home = Path()
     if what[0] not in known_layouts() and _is_log(Path(what[0])):
         table = Path(what[0]).suffix in (".csv", ".parquet")
         other = f"; or {Path(what[0]).stem}.yaml next to it, for a recording" if table else ""
@@ -181,7 +179,8 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
             logs = ", ".join(Path(log).name for log in what[1:]) if len(what) <= 4 else f"of {len(what) - 1} logs"
             text = f"{what[0]}: logs: {', '.join(map(repr, nowhere))}: expected to fit a log's name, got {logs}"
             warnings.warn(text, InputWarning, stacklevel=2)
-        home = here if joint is not None or what[0] in known_layouts() else Path(what[0]).parent
+        if joint is None and what[0] not in known_layouts():
+            home = Path(what[0]).parent
         inputs = [Path(w) for w in what[1:]]
     else:
         if name is not None:
@@ -191,10 +190,9 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
         joints = dict.fromkeys(r.joint for r in found)
         if len(joints) > 1:
             raise InputError(f"expected measurements of one joint, or --joint, got {' and '.join(joints)}")
-        home = here
         inputs = [file for m in read for file in m.files]
     check_each_once([r.name for r in found], "recordings")
-    return Measurement(found[0].name, home, tuple(found)), home, inputs
+    return Measurement(found[0].name, home, tuple(found)), inputs
 
 
 def _joint_of(recording: Recording, measurement: Measurement) -> str:

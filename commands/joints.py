@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ._listing import AsJson
+from ._console import Entry, show
+from ._options import AsJson
 
 EXAMPLES = ("flexspline joints", "flexspline joints --json")
 
@@ -13,7 +14,6 @@ def command(as_json: AsJson = False) -> None:
     A command that needs a joint takes one of these names, or the path of a YAML file.
     """
     from ..models.joint import known_joints, load_joint
-    from ._listing import Entry, show
 
     entries = {}
     for name, path in known_joints().items():

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._listing import AsJson
+from ._console import console, stages
 from ._measurement import load_measurement
-from ._options import OtherJoint, with_plugins
+from ._options import AsJson, OtherJoint, with_plugins
 
 EXAMPLES = ("flexspline plan measurement", "flexspline plan diagnosis --json")
 
@@ -25,7 +25,6 @@ def command(
 ) -> Any:
     """Find out what to measure next: candidate experiments are simulated, and ranked by their expected information."""
     from ..diagnosis.proposals import plan_from, read_proposals
-    from ._console import console, stages
 
     diagnosed = (source / "diagnosis.json").is_file()
     if diagnosed and joint is not None:

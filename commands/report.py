@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._listing import AsJson
-from ._options import with_plugins
+from ._console import console
+from ._options import AsJson, with_plugins
 
 HOLDS = "a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact"  # what a folder may hold
 _MARK = '<meta name="generator" content="flexspline">'
@@ -42,7 +42,6 @@ def command(
     It begins with the result, its confidence and what to do, and ends with its sources. Charts zoom, show values and hide lines.
     It is readable in light and dark mode, on a phone and on paper.
     """
-    from ._console import console
 
     write_page(folders, out)
     if as_json:
@@ -56,19 +55,13 @@ def write_page(folders: Sequence[Path], out: Path) -> None:
     content; another file in place of the page."""
     from ..models.files import write_text
 
-    _check(out)
-    page = _page(folders)
-    write_text(out, page)
-
-
-def _check(out: Path) -> None:
-    """Refuse to replace a file that is not a page of this program, with `InputError`."""
     if out.is_dir():
         raise InputError(f"{out}: expected a file, got a folder")
     if not out.parent.is_dir():
         raise InputError(f"{out}: expected a file in an existing folder, got {out.parent}")
     if out.exists() and _MARK not in out.read_text(encoding="utf-8", errors="replace")[:2000]:
         raise InputError(f"{out}: expected no file, or a page of this program, got another file")
+    write_text(out, _page(folders))
 
 
 def _page(folders: Sequence[Path]) -> str:
@@ -83,7 +76,11 @@ def _page(folders: Sequence[Path]) -> str:
         raise InputError(f"report: expected one folder, or two diagnoses, got {len(folders)}")
     (folder,) = folders
     if (folder / "diagnosis.json").is_file():
-        return _diagnosis(folder)
+        page = folder / "report.html"
+        if not page.is_file():
+            why = "expected the page of the diagnosis, found none; diagnose again without --no-report"
+            raise InputError(f"{page}: {why}")
+        return page.read_text(encoding="utf-8")
     if (folder / "validation.json").is_file():
         from ..views.pages.validation import read_validation, validation_html
 
@@ -110,13 +107,6 @@ def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
     scenario, _ = load_any(arm)
     order = [joint.name for joint in getattr(scenario, "arm", ())]
     return sorted(folders, key=lambda folder: order.index(folder.name) if folder.name in order else len(order))
-
-
-def _diagnosis(folder: Path) -> str:
-    page = folder / "report.html"
-    if not page.is_file():
-        raise InputError(f"{page}: expected the page of the diagnosis, found none; diagnose again without --no-report")
-    return page.read_text(encoding="utf-8")
 
 
 def _runs(folders: list[Path], arm: Path | None = None) -> str:

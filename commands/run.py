@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ._listing import AsJson
-from ._options import Changes, Out, Scenarios, Seed, with_plugins
+from ._console import console
+from ._options import AsJson, Changes, Out, Scenarios, Seed, with_plugins
 
 EXAMPLES = (
     "flexspline run external_push",
@@ -30,7 +30,6 @@ def command(
     as_json: AsJson = False,
 ) -> Any:
     """Run scenarios; write signals, estimates, metrics, figures and a Rerun recording, for an arm of every joint."""
-    from ._console import console
     from ._runs import metrics_of, print_notes, run_all
 
     runs = run_all(scenarios, out, seed, changes, figures, recording)

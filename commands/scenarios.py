@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ._listing import AsJson
+from ._console import Entry, show
+from ._options import AsJson
 
 EXAMPLES = ("flexspline scenarios", "flexspline scenarios --json")
 
@@ -11,7 +12,6 @@ def command(as_json: AsJson = False) -> None:
     """List the scenarios of this package; commands take one of these names, or the path of a YAML file."""
     from ..scenarios.arms.arm_scenario import load_arm
     from ..scenarios.scenario import load_scenario, shipped_arms, shipped_scenarios
-    from ._listing import Entry, show
 
     entries = {}
     for name in shipped_scenarios():

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError, nearest
+from ..models.output import output_folder
 from ._options import with_plugins
 
 EXAMPLES = ("flexspline schema scenario", "flexspline schema --out schemas")
@@ -45,7 +46,6 @@ def command(
         if not kind:
             raise InputError(f"kind: expected one of {', '.join(KINDS)}, or --out for all, got none")
         return schema_of(kind)
-    from ..models.output import output_folder
 
     names = {f"{one}.schema.json": one for one in ([kind] if kind else KINDS)}
     with output_folder(out, "schema", writes=list(names)) as folder:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ._listing import AsJson
-from ._options import with_plugins
+from ._console import Entry, show
+from ._options import AsJson, with_plugins
 
 EXAMPLES = ("flexspline sensors", "flexspline sensors --plugin my_sensor.py --json")
 
@@ -13,7 +13,6 @@ def command(as_json: AsJson = False) -> None:
     """List the channels of sensors: those of every joint, and those of plugins (`--plugin`)."""
     from ..models import own_sensors
     from ..models.signals import CHANNELS
-    from ._listing import Entry, show
 
     entries = {c.name: Entry(c.unit, c.description, "flexspline") for c in CHANNELS.values() if c.sensor}
     for name in own_sensors.names():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ._listing import AsJson
+from ._console import Entry, show
+from ._options import AsJson
 
 EXAMPLES = ("flexspline studies", "flexspline studies --json")
 
@@ -11,7 +12,6 @@ def command(as_json: AsJson = False) -> None:
     """List the studies of this package; `flexspline sweep` takes one of these names, or the path of a YAML file."""
     from ..scenarios.studies.design import Design
     from ..scenarios.studies.study import load_study, shipped_studies
-    from ._listing import Entry, show
 
     entries = {}
     for name, path in shipped_studies().items():

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..models.output import at_end, check_output, output_folder
 from ..models.processes import single_threaded
-from ._listing import AsJson
-from ._options import Jobs, shipped, with_plugins
+from ._console import console, progress
+from ._options import AsJson, Jobs, shipped, with_plugins
 
 if TYPE_CHECKING:
     from ..scenarios.studies.swept import Swept
@@ -46,12 +47,10 @@ def command(
     differences paired over seeds, figures, and the worst run of every scenario, to run again.
     """
     single_threaded()
-    from ..models.output import at_end, check_output
     from ..scenarios.studies.statistics import summary_rows
     from ..scenarios.studies.sweep import sweep
     from ..scenarios.studies.swept import open_study, summarise
     from ..views.sweep_tables import metric_column, sweep_table
-    from ._console import console, progress
 
     dataset = open_study(study, out, seeds)
     design, asked = dataset.design, dataset.design.study
@@ -96,7 +95,6 @@ def _again(run: WorstRun, out: Path) -> str:
 def write_summary(swept: Swept, figures: bool = True) -> None:
     """Write `summary.csv`, `summary.md`, the worst runs as scenarios, and figures into the dataset's folder."""
     from ..models.files import yaml_text
-    from ..models.output import output_folder
     from ..scenarios.studies.statistics import write_csv
     from ..views.sweep_tables import sweep_markdown
 

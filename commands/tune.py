@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._listing import AsJson
-from ._options import Changes, Estimators, Jobs, SomeScenarios, Vary, with_plugins
+from ..models.output import check_output, output_folder
+from ._console import console, progress
+from ._options import AsJson, Changes, Estimators, Jobs, SomeScenarios, Vary, with_plugins
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -49,12 +50,10 @@ def command(
     Writes `tuned.yaml`, whose `filters` can be copied into a scenario, per scenario or, with --together, once.
     """
     training, testing = _seeds(train, "--train"), _seeds(test, "--test")
-    from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import tuning
     from ..scenarios.filters import estimators
     from ..views.limit_tables import TUNED_HEADS, tuned_rows, tuned_table
     from ..views.tables import markdown_table
-    from ._console import console, progress
     from ._runs import PAPER, load_all
 
     tuning.check_seeds(training, testing)
@@ -82,9 +81,10 @@ def command(
             text = f"# {title}\n\n{markdown_table(TUNED_HEADS, tuned_rows(results))}\n"
             (new / "tuned.md").write_text(text, encoding="utf-8")
             if found.fronts:
-                from ..views.limit_figures import pareto_figure, save_figure
+                from ..views.figures.sheet import save
+                from ..views.limit_figures import pareto_figure
 
-                save_figure(pareto_figure(found.fronts, found.pushed, len(testing)), new / "pareto.png")
+                save(pareto_figure(found.fronts, found.pushed, len(testing)), new / "pareto.png", 110)
         if not as_json:
             terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if found.fronts else ''}")
     return answer if as_json else None

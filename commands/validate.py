@@ -5,9 +5,11 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from ._listing import AsJson
-from ._measurement import load_measurement
-from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
+from ..models.errors import InputWarning
+from ..models.output import check_output, made_from, output_folder
+from ._console import console, print_table
+from ._measurement import load_measurement, print_mistakes
+from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,11 +23,8 @@ EXAMPLES = ("flexspline validate measurement --joint diagnosis/joint.yaml --out 
 def command(measurement: MeasurementPath, out: ResultFolder, joint: OtherJoint = None, as_json: AsJson = False) -> Any:
     """Compare a measurement with the prediction of a joint's description; nothing is fitted."""
     from ..models.command_lines import mending
-    from ..models.errors import InputWarning
     from ..models.files import write_json
-    from ..models.output import check_output, made_from, output_folder
     from ..models.tables import write_table
-    from ._console import console
 
     data, described = load_measurement(measurement, joint)
     maker = made_from("validate", measurement)
@@ -53,8 +52,6 @@ def command(measurement: MeasurementPath, out: ResultFolder, joint: OtherJoint =
 
 def _show(terminal: Console, found: Validation, correction: str) -> None:
     from ..models.joint_parts import beyond_sentence
-    from ._console import print_table
-    from ._mistakes import print_mistakes
 
     if found.mistakes:
         print_mistakes(terminal, found.mistakes, correction)

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from ._listing import AsJson
+from ._console import console, print_table
+from ._options import AsJson
 
 EXAMPLES = ("flexspline verify reference",)
 
@@ -23,7 +24,6 @@ def command(
     from ..models.files import json_text
     from ..models.joint import load_joint
     from ..sim.verify import verify
-    from ._console import console, print_table
 
     terminal = console()
     with terminal.status("simulating the reference solutions"):

@@ -1,27 +1,37 @@
-"""`flexspline view`: runs or a diagnosis in the Rerun viewer."""
+"""`flexspline view`: runs or a diagnosis in the Rerun viewer, or a run that is played in it."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..models.errors import InputError
 from ..models.output import at_end
-from ._listing import AsJson
-from ._live import ADDRESS, viewer_process
-from ._options import Changes, Seed, shipped, with_plugins
+from ._console import console
+from ._options import AsJson, Changes, Seed, shipped, with_plugins
+
+if TYPE_CHECKING:
+    from ..scenarios.run import Run
+    from ..views.rerun import RunRecording
 
 RECORDINGS = ("run.rrd", "report.rrd")  # file names of a run's and of a diagnosis's recording
 _MAGIC = b"RRF"
+ADDRESS = "127.0.0.1"  # address of the viewer: this computer only
+UPDATE = 0.04  # time between two updates of the viewer [s]
+_LONGEST = 1.0  # longest time between two updates on a slow computer [s]
+_PATIENCE = 30.0  # time for a viewer to open [s]
 
 EXAMPLES = (
     "flexspline view runs/external_push",
@@ -87,11 +97,9 @@ def command(
 def _show_live(name: str, changes: list[str] | None, seed: int | None, speed: float, web: bool, as_json: bool) -> Any:
     from ..scenarios.run import run_scenario
     from ..scenarios.scenario import load_scenario
-    from ._console import console
-    from ._live import free_port, show_live
 
-    run, port = run_scenario(*load_scenario(name, changes, seed), os.cpu_count() or 1), free_port()
-    show_live(run, viewer_command(None, web, port), viewer_environment(), port, speed)
+    run = run_scenario(*load_scenario(name, changes, seed), os.cpu_count() or 1)
+    show_live(run, web, speed)
     if as_json:
         return {run.name: {"folder": None, **run.metrics}}
     from ..views.tables import comparison_table
@@ -100,6 +108,72 @@ def _show_live(name: str, changes: list[str] | None, seed: int | None, speed: fl
     terminal.print(comparison_table({run.name: run.metrics}))
     for note in run.notes:
         terminal.print(f"{run.name}: {note}", style="yellow")
+
+
+def show_live(run: Run, web: bool, speed: float) -> None:
+    """Open a viewer, and play a run in it at `speed` seconds per second, until the viewer is closed. Raises `InputError`:
+    a viewer that does not open."""
+    os.environ.setdefault("RUST_LOG", "off")  # a closed viewer is not an error
+    import rerun as rr
+
+    from ..views.rerun import RunRecording
+
+    with socket.socket() as free:
+        free.bind((ADDRESS, 0))
+        port = int(free.getsockname()[1])
+    with viewer_process(viewer_command(None, web, port), subprocess.DEVNULL) as viewer:
+        _wait_for(viewer, port)
+        stream = rr.RecordingStream(f"flexspline live {run.name}")
+        stream.connect_grpc(f"rerun+http://{ADDRESS}:{port}/proxy")
+        try:
+            if play(RunRecording(stream, run, live=True), speed, viewer):
+                stream.flush(timeout_sec=_PATIENCE)
+                viewer.wait()
+        finally:
+            stream.disconnect()
+
+
+def play(shown: RunRecording, speed: float, viewer: subprocess.Popen[bytes] | None = None) -> bool:
+    """Show a run at `speed`, stretch by stretch; return False if the viewer was closed before the end."""
+    begin, done, ticks = time.monotonic(), 0, len(shown.run.time)
+    period = float(shown.run.time[1]) / speed  # s, of a tick
+    while done < ticks:
+        now = time.monotonic() - begin + UPDATE
+        end = min(max(min(round(now / period), done + round(_LONGEST / period)), done + 2), ticks)
+        end = ticks if ticks - end == 1 else end  # a single tick has no period
+        shown.send(slice(done, end))
+        done = end
+        time.sleep(max(begin + done * period - time.monotonic(), 0.0))
+        if viewer is not None and viewer.poll() is not None:
+            return False
+    shown.finish()
+    return True
+
+
+@contextlib.contextmanager
+def viewer_process(words: list[str], stdout: int | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """Start a viewer by its command line and end it with the block; `stdout` as of `subprocess.Popen`."""
+    viewer = subprocess.Popen(words, env=viewer_environment(), stdout=stdout)
+    try:
+        with at_end(viewer.terminate):
+            yield viewer
+    finally:
+        if viewer.poll() is None:
+            viewer.terminate()
+            try:
+                viewer.wait(timeout=5)
+            except subprocess.TimeoutExpired:
+                viewer.kill()
+                viewer.wait()
+
+
+def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
+    end = time.monotonic() + _PATIENCE
+    while viewer.poll() is None and time.monotonic() < end:
+        with contextlib.suppress(OSError), socket.create_connection((ADDRESS, port), timeout=1.0):
+            return
+        time.sleep(0.05)
+    raise InputError("view: expected a viewer that opens, got none; use --web if there is no display")
 
 
 def _print_opened(folders: list[Path]) -> None:
@@ -118,7 +192,7 @@ def _overlaid(folders: list[Path], web: bool) -> int:
         at_end(partial(shutil.rmtree, folder, ignore_errors=True)),
     ):
         path = overlay(folders, Path(folder) / "runs.rrd")
-        with viewer_process(viewer_command(path, web), viewer_environment()) as viewer:
+        with viewer_process(viewer_command(path, web)) as viewer:
             return viewer.wait()
 
 

@@ -7,15 +7,17 @@ python -m docs.lara8 joint3_outbound.csv --write  # and models/lara8_joint3_exte
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
 from flexspline.diagnosis.answer import Diagnosis
@@ -30,6 +32,7 @@ from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.motion import smooth
 from flexspline.models.recording import Measurement, Recording
 from flexspline.views import style
+from flexspline.views.tables import markdown_table
 
 HERE = Path(__file__).parent
 CAUSES = ("load_dependent_friction", "gravity_direction")
@@ -75,12 +78,15 @@ def fit_current(
     # One number every grid step: of those within the vibration's memory, together one is news.
     sigma = SENSOR_NOISE * np.sqrt(SENSOR_MEMORY / smoothed.STEP)
 
+    def by_cause(values: Iterable[Any]) -> dict[str, dict[str, Any]]:
+        found: dict[str, dict[str, Any]] = {name: {} for name in names}
+        for (name, q), value in zip(parameters, values, strict=True):
+            found[name][q.name] = value
+        return found
+
     def residual(u: np.ndarray) -> np.ndarray:
         record = bare.copy()
-        for name in names:
-            own = {
-                q.name: a + s * x for (n, q), a, s, x in zip(parameters, present, spread, u, strict=True) if n == name
-            }
+        for name, own in by_cause(present + spread * u).items():
             causes.get(name).apply(record[0], own)
         own_joint = replace(known, record=record)
         torque = smoothed.torque_from_current(motion, own_joint) - own_joint.p["bl"] * motion.link_velocity
@@ -88,10 +94,8 @@ def fit_current(
 
     found = least_squares(residual, np.zeros(len(parameters)), diff_step=1e-3)
     std = spread * np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
-    values = {
-        (n, q.name): (a, q.unit, s) for (n, q), a, s in zip(parameters, present + spread * found.x, std, strict=True)
-    }
-    return [_effect(name, {key: v for (n, key), v in values.items() if n == name}) for name in names]
+    values = zip(present + spread * found.x, (q.unit for _, q in parameters), std, strict=True)
+    return [_effect(name, own) for name, own in by_cause(values).items()]
 
 
 def fit_eccentricity(recording: Recording, joint: Joint, use: np.ndarray | None = None) -> Effect:
@@ -154,6 +158,7 @@ def extend(recording: Recording, joint: Joint, use: np.ndarray | None = None) ->
 
 
 ESTIMATORS = ("model", "EKF", "AREKF", "RAREKF", "current", "current_smoothed", "payload", "payload_smoothed")
+ASSUMED = ("RAREKF", "current", "payload_smoothed")
 DIAGNOSED = ("model", "RAREKF", "current", "payload_smoothed")
 
 
@@ -162,10 +167,19 @@ def external_torques(recording: Recording, joint: Joint) -> dict[str, np.ndarray
     return estimate_recording(recording, joint, ESTIMATORS).external_torque
 
 
-def taken(recording: Recording, samples: np.ndarray) -> Recording:
-    """Some samples of a recording, shape (n,), bool."""
-    columns = {name: values[samples] for name, values in recording.columns.items()}
-    return replace(recording, time=recording.time[samples], columns=columns)
+def moving(recording: Recording) -> np.ndarray:
+    """Which samples are in motion, shape (n,), bool."""
+    return np.gradient(recording["link_position"], recording.time) > MOVING
+
+
+def errors(recording: Recording, joint: Joint, names: Sequence[str], where: np.ndarray) -> list[float]:
+    """RMS error [N·m] of the external torque by estimators, over some samples, shape (n,), bool."""
+    found = external_torques(recording, joint)
+    return [_rms((found[name] - recording["external_torque"])[where]) for name in names]
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 def hold_outs(q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -182,92 +196,86 @@ def hold_outs(q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def published(recording: Recording, path: Path) -> np.ndarray:
-    """The published way: feed-forward less torque of the motor current [N·m]."""
-    table = np.genfromtxt(path, delimiter=",", names=True)
-    return table["target_joint_torque_3"] - table["joint_torque_current_3"]
-
-
 def feed_forward(recording: Recording, path: Path) -> tuple[np.ndarray, float]:
     """The controller's model: coefficients of sin q, cos q, sgn v, v, a (of its target), rms of the rest [N·m]."""
     log = np.genfromtxt(path, delimiter=",", names=True)
-    time, q, v = recording.time, recording["link_position"], log["target_joint_velocity_3"]
-    s = smooth(time, v[:, None], 1e-3, 10.0)
-    a = np.interp(time, s.time, s.rate[:, 0])
-    basis = np.stack([np.sin(q), np.cos(q), np.ones(len(q)), v, a], axis=1)
-    moving = time > 0.12  # the target has set off
-    found, *_ = np.linalg.lstsq(basis[moving], log["target_joint_torque_3"][moving], rcond=None)
-    rest = (log["target_joint_torque_3"] - basis @ found)[moving]
-    return found, float(np.sqrt(np.mean(rest**2)))
+    q, v = recording["link_position"], log["target_joint_velocity_3"]
+    a, _ = _rates(recording.time, v, 10.0)
+    late = recording.time > 0.12  # the target has set off
+    basis, torque = (
+        np.stack([np.sin(q), np.cos(q), np.ones(len(q)), v, a], axis=1)[late],
+        log["target_joint_torque_3"][late],
+    )
+    found = np.linalg.lstsq(basis, torque, rcond=None)[0]
+    return found, _rms(torque - basis @ found)
+
+
+def _rates(time: np.ndarray, x: np.ndarray, frequency: float) -> tuple[np.ndarray, np.ndarray]:
+    """First and second derivative of a signal up to a frequency [Hz], shape (n,) each."""
+    s = smooth(time, x[:, None], 1e-3, frequency)
+    return np.interp(time, s.time, s.rate[:, 0]), np.interp(time, s.time, s.acceleration[:, 0])
+
+
+def _rigid(q: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """External torque of a rigid payload by its two gravity moments and its inertia, shape (n, 3)."""
+    return np.stack([np.sin(q), np.cos(q), -a], axis=1)
 
 
 def remembered(recording: Recording) -> tuple[float, list[float]]:
     """RMS [N·m] of a rigid payload fitted to the sensor itself: to all of it (the sensor's vibration), and held out."""
-    time, q = recording.time, recording["link_position"]
-    s = smooth(time, recording["motor_position"][:, None], 1e-3, 5.0)
-    v, a = (np.interp(time, s.time, x[:, 0]) / 101 for x in (s.rate, s.acceleration))
-    basis, moving = np.stack([np.sin(q), np.cos(q), -a], axis=1), v > 0.05
+    q, S = recording["link_position"], recording["external_torque"]
+    v, a = _rates(recording.time, recording["motor_position"] / 101, 5.0)
+    basis, moves = _rigid(q, a), v > MOVING
 
     def rms(fit: np.ndarray, test: np.ndarray) -> float:
-        found, *_ = np.linalg.lstsq(basis[fit & moving], recording["external_torque"][fit & moving], rcond=None)
-        return float(np.sqrt(np.mean((recording["external_torque"] - basis @ found)[test & moving] ** 2)))
+        found = np.linalg.lstsq(basis[fit & moves], S[fit & moves], rcond=None)[0]
+        return _rms((S - basis @ found)[test & moves])
 
-    return rms(moving, moving), [rms(fit, test) for fit, test in hold_outs(q).values()]
+    return rms(moves, moves), [rms(fit, test) for fit, test in hold_outs(q).values()]
 
 
 def table(recording: Recording, path: Path) -> list[tuple[str, list[float]]]:
-    """RMS [N·m] in motion, on samples that the fit did not see: published way, then every estimator."""
-    joint, q = load_joint(recording.joint), recording["link_position"]
-    moving = np.gradient(q, recording.time) > 0.05
+    """RMS [N·m] in motion, on samples that the fit did not see: published way (feed-forward less torque of the
+    motor current), then every estimator."""
+    joint, log = load_joint(recording.joint), np.genfromtxt(path, delimiter=",", names=True)
+    before = log["target_joint_torque_3"] - log["joint_torque_current_3"] - recording["external_torque"]
     rows = []
-    for name, (fit, test) in hold_outs(q).items():
-        found = external_torques(recording, extend(recording, joint, fit))
-        where = test & moving
-        errors = [published(recording, path), *(found[e] for e in ESTIMATORS)]
-        rows.append((name, [float(np.sqrt(np.mean((e - recording["external_torque"])[where] ** 2))) for e in errors]))
+    for name, (fit, test) in hold_outs(recording["link_position"]).items():
+        where = test & moving(recording)
+        found = errors(recording, extend(recording, joint, fit), ESTIMATORS, where)
+        rows.append((name, [_rms(before[where]), *found]))
     return rows
 
 
-def diagnosed(recording: Recording) -> Iterator[tuple[str, Diagnosis, list[float]]]:
-    """What `flexspline diagnose` makes of a part of the sweep by itself, and RMS [N·m] in motion on the rest of it."""
-    joint, q = load_joint(recording.joint), recording["link_position"]
-    moving = np.gradient(q, recording.time) > 0.05
-    everything = np.ones(len(q), bool)
-    for name, (fit, test) in [("nothing", (everything, everything)), *hold_outs(q).items()]:
-        part = taken(recording, fit)
+def diagnosed(recording: Recording) -> Iterator[tuple[str, Diagnosis, list[float], list[float]]]:
+    """What `flexspline diagnose` makes of a part of the sweep by itself, and RMS [N·m] in motion on the rest of it: of the
+    nominal joint, and of the diagnosed one."""
+    joint, everything = load_joint(recording.joint), np.ones(len(recording.time), bool)
+    parts = {"nothing": (everything, everything)} | hold_outs(recording["link_position"])
+    for name, (fit, test) in parts.items():
+        part = recording.at(np.flatnonzero(fit))
         answer = diagnose(Measurement(part.name, Path(), (part,)), joint)
-        found = external_torques(recording, answer.extended)
-        errors = [(found[e] - recording["external_torque"])[test & moving] for e in DIAGNOSED]
-        yield name, answer, [float(np.sqrt(np.mean(e**2))) for e in errors]
+        nominal, extended = (
+            errors(recording, j, DIAGNOSED, test & moving(recording)) for j in (joint, answer.extended)
+        )
+        yield name, answer, nominal, extended
 
 
-def described(recording: Recording) -> list[list[float]]:
-    """RMS [N·m] of the nominal joint in motion on what is scored in `diagnosed`, row by row."""
-    q, found = recording["link_position"], external_torques(recording, load_joint(recording.joint))
-    moving = np.gradient(q, recording.time) > 0.05
-    parts = [np.ones(len(q), bool), *(test for _, test in hold_outs(q).values())]
-    errors = [[(found[e] - recording["external_torque"])[test & moving] for e in DIAGNOSED] for test in parts]
-    return [[float(np.sqrt(np.mean(e**2))) for e in row] for row in errors]
-
-
-def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 1.0) -> tuple[Recording, np.ndarray]:
+def mirrored(recording: Recording, joint: Joint, share: float) -> tuple[Recording, np.ndarray]:
     """The sweep with a made-up second half: the outbound motion mirrored about q = 0, current after an assumed truth.
 
     Args:
       share: of the load-dependent friction that acts when the load drives the motor; −1 is what would look like a wrong
         torque constant, or a wrong gravity moment, instead of friction.
-      payload: the second half's payload in units of the first's.
 
     Returns:
       The whole sweep, and which samples are the second half's, in motion.
     """
     p = joint.record()[0]
-    t, q = recording.time, recording["link_position"]
-    s = smooth(t, np.column_stack([recording["motor_position"] / p["N"], q]), 1e-3, 5.0)
-    v, a = (np.interp(t, s.time, x[:, 0]) for x in (s.rate, s.acceleration))
-    basis = np.stack([np.sin(q), np.cos(q), -a], axis=1)
-    fitted, *_ = np.linalg.lstsq(basis, recording["external_torque"], rcond=None)
-    vibration = recording["external_torque"] - basis @ fitted
+    t, q, S = recording.time, recording["link_position"], recording["external_torque"]
+    v, a = _rates(t, recording["motor_position"] / p["N"], 5.0)
+    payload = np.linalg.lstsq(_rigid(q, a), S, rcond=None)[0]
+    fitted = _rigid(q, a) @ payload
     inertia = p["Jl"] + p["N"] ** 2 * (p["Jm"] + p["Jw"])
 
     def needed(q, a, external):
@@ -278,12 +286,11 @@ def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 
         error = np.array([laws.link_reading(x, p) for x in q]) - q
         return compliance + p["Kt"] * current / p["Kw0"] / p["N"] - error
 
-    beyond = (
-        recording["motor_position"] / p["N"] - q - torsion(q, needed(q, a, basis @ fitted), recording["motor_current"])
-    )
+    first = torsion(q, needed(q, a, fitted), recording["motor_current"])
+    beyond = recording["motor_position"] / p["N"] - q - first
 
     time, q, v, a = 2 * t[-1] + 4e-3 - t[::-1], -q[::-1], v[::-1], -a[::-1]
-    external = payload * (np.stack([np.sin(q), np.cos(q), -a], axis=1) @ fitted)
+    external = _rigid(q, a) @ payload
     torque = needed(q, a, external)
     on = np.tanh(v / 0.01)
     friction = p["N"] * p["Fc"] * on + p["N"] ** 2 * p["bw"] * v
@@ -295,9 +302,9 @@ def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 
         "motor_position": np.r_[recording["motor_position"], motor],
         "link_position": np.r_[recording["link_position"], q],
         "motor_current": np.r_[recording["motor_current"], current],
-        "external_torque": np.r_[recording["external_torque"], external + vibration[::-1]],
+        "external_torque": np.r_[S, external + (S - fitted)[::-1]],
     }
-    return replace(recording, time=np.r_[t, time], columns=columns), np.r_[np.zeros(len(t), bool), v > 0.05]
+    return replace(recording, time=np.r_[t, time], columns=columns), np.r_[np.zeros(len(t), bool), v > MOVING]
 
 
 SHARES = (("as much", 1.0), ("half as much", 0.5), ("none", 0.0), ("a wrong gain instead", -1.0))
@@ -306,78 +313,65 @@ SHARES = (("as much", 1.0), ("half as much", 0.5), ("none", 0.0), ("a wrong gain
 
 def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
     """RMS [N·m] at q > 0 under assumed truths: the whole sweep estimated, and the second half alone."""
-    joint = extend(recording, load_joint(recording.joint))
+    joint, n = extend(recording, load_joint(recording.joint)), len(recording.time)
     rows = []
     for name, share in SHARES:
         whole, test = mirrored(recording, joint, share)
-        n = len(recording.time)
-        second = taken(whole, np.arange(len(whole.time)) >= n)
-        values = []
-        for part, where in ((whole, test), (second, test[n:])):
-            found = external_torques(part, joint)
-            errors = [(found[e] - part["external_torque"])[where] for e in ("RAREKF", "current", "payload_smoothed")]
-            values += [float(np.sqrt(np.mean(e**2))) for e in errors]
-        rows.append((name, values))
+        second = whole.at(np.arange(n, len(whole.time)))
+        rows.append((name, errors(whole, joint, ASSUMED, test) + errors(second, joint, ASSUMED, test[n:])))
     return rows
 
 
-def figures(recording: Recording, path: Path, folder: Path) -> None:
+def figures(recording: Recording, folder: Path) -> None:
     """Draw both figures of the page."""
     joint, q, S = load_joint(recording.joint), recording["link_position"], recording["external_torque"]
-    fit = q < -1.04
-    known = external_torques(recording, extend(recording, joint, fit))
-    nominal = external_torques(recording, joint)
+    known = external_torques(recording, extend(recording, joint, q < -1.04))
+    nominal = external_torques(recording, joint)["current"]
 
-    fig, axes = plt.subplots(2, 1, figsize=(8, 7), sharex=True, height_ratios=(3, 2))
-    top, bottom = axes
-    for name, color, label, width in (
-        ("RAREKF", style.FILTERS["EKF"], "RAREKF on encoders, extended joint", 0.6),
-        ("sensor", style.SENSOR, "flange sensor", 1.4),
-        ("current", style.EXTERNAL, "current, extended joint", 1.4),
-        ("payload", style.TRUTH, "payload observer, extended joint", 1.4),
+    fig, (top, bottom) = plt.subplots(2, 1, figsize=(8, 7), sharex=True, height_ratios=(3, 2))
+    for values, color, label, width in (
+        (known["RAREKF"], style.FILTERS["EKF"], "RAREKF on encoders, extended joint", 0.6),
+        (S, style.SENSOR, "flange sensor", 1.4),
+        (known["current"], style.EXTERNAL, "current, extended joint", 1.4),
+        (known["payload"], style.TRUTH, "payload observer, extended joint", 1.4),
+        (nominal, style.MODEL, "current, nominal joint", 1.4),
     ):
-        values = S if name == "sensor" else known[name]
         top.plot(q, values, color=color, lw=width, label=label)
-        if name != "sensor":
+        if values is not S:
             bottom.plot(q, values - S, color=color, lw=width)
-    top.plot(q, nominal["current"], color=style.MODEL, lw=1.4, label="current, nominal joint")
-    bottom.plot(q, nominal["current"] - S, color=style.MODEL, lw=1.4)
-    for ax in axes:
+    for ax in (top, bottom):
         ax.axvline(-1.04, color="black", lw=0.8, ls=":")
-        ax.grid(alpha=0.25)
     top.set(ylim=(-45, 8), ylabel="external torque [N·m]", title="Fitted left of the dotted line, tested right of it")
     bottom.set(ylim=(-16, 16), ylabel="error [N·m]", xlabel="joint angle [rad]")
     top.legend(fontsize=8, loc="lower right")
-    fig.tight_layout()
-    fig.savefig(folder / "lara8_external_torque.png", dpi=110)
-    plt.close(fig)
+    _save(fig, folder / "lara8_external_torque.png")
 
     # What the nominal joint gets wrong: torque from current less what the sensor asks for, term by term.
     fig, ax = plt.subplots(figsize=(8, 4.2))
     whole = extend(recording, joint)
     values = {e.name: e.values for e in whole.effects}
-    moving = np.gradient(q, recording.time) > 0.05
-    residual = S - nominal["current"]
     load = np.abs(estimate_recording(recording, whole, ["current"]).torque["current"])
-    gravity = joint.mount().gravity_moment
     turned = joint.gravity_angle.value + values["gravity_direction"]["angle"]
-    direction = gravity * (np.sin(q + turned) - np.sin(q + joint.gravity_angle.value))
+    direction = joint.mount().gravity_moment * (np.sin(q + turned) - np.sin(q + joint.gravity_angle.value))
     friction = values["load_dependent_friction"]["coefficient"] * load
-    ax.plot(
-        q[moving],
-        residual[moving],
-        color=style.SENSOR,
-        lw=0.8,
-        label="nominal joint: torque from current − torque needed",
-    )
-    ax.plot(q[moving], friction[moving], color=style.FILTERS["AREKF"], lw=1.2, label="load-dependent friction μ|T|")
-    ax.plot(q[moving], direction[moving], color=style.FILTERS["EKF"], lw=1.2, label="direction of gravity")
-    ax.plot(q[moving], (friction + direction)[moving], color=style.FILTERS["RAREKF"], lw=1.6, label="both")
+    moves = moving(recording)
+    for term, color, label, width in (
+        (S - nominal, style.SENSOR, "nominal joint: torque from current − torque needed", 0.8),
+        (friction, style.FILTERS["AREKF"], "load-dependent friction μ|T|", 1.2),
+        (direction, style.FILTERS["EKF"], "direction of gravity", 1.2),
+        (friction + direction, style.FILTERS["RAREKF"], "both", 1.6),
+    ):
+        ax.plot(q[moves], term[moves], color=color, lw=width, label=label)
     ax.set(ylim=(-12, 14), xlabel="joint angle [rad]", ylabel="N·m")
-    ax.grid(alpha=0.25)
     ax.legend(fontsize=8)
+    _save(fig, folder / "lara8_residual.png")
+
+
+def _save(fig: Figure, path: Path) -> None:
+    for ax in fig.axes:
+        ax.grid(alpha=0.25)
     fig.tight_layout()
-    fig.savefig(folder / "lara8_residual.png", dpi=110)
+    fig.savefig(path, dpi=110)
     plt.close(fig)
 
 
@@ -394,26 +388,21 @@ def main() -> None:
     print("feed-forward: sin q, cos q, sgn v, v, a", found.round(3), f"rms of the rest {rest:.3f} N·m")
     floor, memory = remembered(recording)
     print(f"payload fitted to the sensor: {floor:.2f} N·m, held out {np.round(memory, 2)}\n")
-    print("| held out | current − feed-forward | " + " | ".join(ESTIMATORS) + " |")
-    print("|---" * (len(ESTIMATORS) + 2) + "|")
-    for name, values in table(recording, path):
-        print(f"| {name} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
-    print()
-    print("| friction when the load drives | whole: RAREKF | current | payload | alone: RAREKF | current | payload |")
-    print("|---|---|---|---|---|---|---|")
-    for name, values in assumed(recording):
-        print(f"| {name} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
-    shown = DIAGNOSED[1:]
-    print("| held out | cause (confidence) | " + " | ".join(f"{n}: nominal | diagnosed" for n in shown) + " |")
-    print("|---" * (2 * len(shown) + 2) + "|")
-    for (name, answer, values), nominal in zip(diagnosed(recording), described(recording), strict=True):
-        causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict
-        pairs = [f"{a:.2f} | {b:.2f}" for a, b in zip(nominal[1:], values[1:], strict=True)]
-        print(f"| {name} | {causes} | " + " | ".join(pairs) + " |")
-    print()
+    rows = [(name, *(f"{v:.2f}" for v in values)) for name, values in table(recording, path)]
+    print(markdown_table(("held out", "current − feed-forward", *ESTIMATORS), rows), end="\n\n")
+    rows = [(name, *(f"{v:.2f}" for v in values)) for name, values in assumed(recording)]
+    heads = (f"{part}: {name}" for part in ("whole", "alone") for name in ASSUMED)
+    print(markdown_table(("friction when the load drives", *heads), rows), end="\n\n")
+    rows = []
+    for name, answer, nominal, extended in diagnosed(recording):
+        found_causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict
+        pairs = zip(nominal[1:], extended[1:], strict=True)
+        rows.append((name, found_causes, *(f"{v:.2f}" for pair in pairs for v in pair)))
+    shown = (head for name in DIAGNOSED[1:] for head in (f"{name}: nominal", "diagnosed"))
+    print(markdown_table(("held out", "cause (confidence)", *shown), rows), end="\n\n")
     folder = HERE / "figures"
     folder.mkdir(exist_ok=True)
-    figures(recording, path, folder)
+    figures(recording, folder)
     made = extend(recording, joint)
     for effect in made.effects:
         print(effect.name, {k: (e.value, e.std, e.unit) for k, e in effect.parameters.items()})

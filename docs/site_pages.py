@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from flexspline import _ELSEWHERE, commands
 from flexspline import __all__ as public
-from flexspline import commands
 from flexspline.commands.schema import KINDS, schema_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -70,10 +70,8 @@ def commands_page() -> str:
 def python_page() -> str:
     """The public interface, from its docstrings."""
     parts = ["# Python", "`import flexspline as fs` has all of this; what is heavy is imported when it is first used."]
-    lines = (ROOT / "flexspline" / "__init__.py").read_text(encoding="utf-8")
-    elsewhere = dict(re.findall(r'^    "(\w+)": "([\w.]+)",$', lines, re.MULTILINE))
     for name in (n for n in public if not n.startswith("_")):
-        where = f"flexspline.{elsewhere[name]}.{name}" if name in elsewhere else f"flexspline.{name}"
+        where = f"flexspline.{_ELSEWHERE[name]}.{name}" if name in _ELSEWHERE else f"flexspline.{name}"
         parts.append(f"::: {where}")
     return "\n\n".join(parts) + "\n"
 

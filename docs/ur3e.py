@@ -34,15 +34,12 @@ SPLITS = (20.0, 22.0, 24.0, 26.0, 28.0)
 """Ends of what diagnosis sees [s]; after the first one what is held against it are the last 10 s."""
 
 
-def part(recording: Recording, samples: np.ndarray, name: str) -> Recording:
-    """Some samples of a recording, shape (n,), bool."""
-    return replace(recording.at(np.flatnonzero(samples)), name=name)
-
-
 def split(recording: Recording, end: float, start: float | None = None) -> tuple[Recording, Recording]:
     """What comes before `end` [s], and what comes from `start` on (`end` by default)."""
     t = recording.time
-    return part(recording, t < end, "first"), part(recording, t >= (end if start is None else start), "last")
+    parts = {"first": t < end, "last": t >= (end if start is None else start)}
+    first, last = (replace(recording.at(np.flatnonzero(use)), name=name) for name, use in parts.items())
+    return first, last
 
 
 @dataclass(frozen=True)

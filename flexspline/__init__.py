@@ -28,7 +28,6 @@ if sys.version_info < (3, 11):  # noqa: UP036 - the sources may be used without 
     raise ImportError("flexspline needs Python 3.11 or newer, got %d.%d" % sys.version_info[:2])  # noqa: UP031
 
 if TYPE_CHECKING:
-    import mujoco
     import pandas as pd
 
     from .diagnosis.answer import Diagnosis
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
     from .scenarios.run import Run
     from .scenarios.scenario import Scenario
     from .scenarios.studies.swept import Swept
-    from .sim.attach import Attached
+    from .sim.attach import Attached, align, attach
 
 Measured: TypeAlias = "str | Path | Recording | Measurement | Run | Sequence[Recording | Run]"
 """A recording, a run, several of them, or the path of a recording or of a folder of several."""
@@ -72,6 +71,8 @@ _ELSEWHERE = {
     "Swept": "scenarios.studies.swept",
     "Tuning": "scenarios.evaluation.tuning",
     "Validation": "diagnosis.validate",
+    "align": "sim.attach",
+    "attach": "sim.attach",
     "load_joint": "models.joint",
 }
 __all__ = [
@@ -97,25 +98,23 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-class _WithMujoco(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+class _WithMujoco(importlib.abc.MetaPathFinder):
     """Registers the plugin `flexspline.joint` as soon as MuJoCo is imported, so that models with it compile."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> Any:
         if fullname != "mujoco":
             return None
         sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(fullname)
+        spec: Any = importlib.util.find_spec(fullname)
         if spec is not None and spec.loader is not None:
-            self._loader, spec.loader = spec.loader, self
+            execute = spec.loader.exec_module
+
+            def exec_module(module: Any) -> None:
+                execute(module)
+                _register()
+
+            spec.loader.exec_module = exec_module
         return spec
-
-    def create_module(self, spec: Any) -> Any:
-        return self._loader.create_module(spec)
-
-    def exec_module(self, module: Any) -> None:
-        module.__spec__.loader = module.__loader__ = self._loader
-        self._loader.exec_module(module)
-        _register()
 
 
 def _register() -> None:
@@ -230,51 +229,6 @@ def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **
     else:
         found, folder = load_arm(scenario, seed, dotted)
     return run_arm(found.with_joints(given), folder, threads=_cores())
-
-
-def attach(spec: mujoco.MjSpec, joint_name: str, joint: str | Path | Joint) -> Attached:
-    """Add a joint's laws to a hinge of a MuJoCo model: torsion, wave generator, friction, kinematic error, all effects.
-
-    A rotor and a wave generator are added to the body that carries the hinge. An engine plugin acts between them and the link.
-    Actuators on the hinge then turn the rotor through 1/N: controls, gains and limits keep their meaning at the output. A hinge
-    without actuator gets a motor `<joint_name>_motor` with winding, whose control is the motor's torque [N·m, motor side]. The
-    hinge's own damping, armature and friction loss are replaced. Keyframes are extended. The integrator becomes `implicitfast`
-    unless it is `implicit`. The joint's mounting is not used: the model has its own bodies.
-
-    Args:
-      spec: the model before it is compiled; changed in place.
-      joint_name: of the hinge, which must be the only joint of its body.
-      joint: name of a shipped joint, path of a description, or a `Joint`.
-
-    Returns:
-      Names in the model: `rotor`, `wave_generator` (joints), `actuators` that turn the rotor.
-
-    Raises:
-      InputError: no such hinge; a model that does not compile; a timestep that is too long for the gear, with the limit.
-    """
-    from .models.joint import Joint, load_joint
-    from .sim.attach import attach as attach_joint
-
-    return attach_joint(spec, joint_name, joint if isinstance(joint, Joint) else load_joint(joint))
-
-
-def align(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Turn the rotors and wave generators of attached joints to their links' positions, after a change of `data.qpos`.
-
-    Args:
-      model: with attached joints.
-      data: of that model; changed in place.
-
-    Returns:
-      The same data: positions [rad] and velocities [rad/s] of the motor sides are N times the links', without torsion.
-
-    Raises:
-      InputError: a model without attached joints.
-    """
-    from .sim.attach import align as align_joints
-
-    align_joints(model, data)
-    return data
 
 
 def estimate(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -13,7 +14,7 @@ import numpy as np
 from ..models import laws
 from ..models.dynamics import wave_generator_position
 from ..models.errors import InputError, InputWarning, refusing
-from ..models.joint import Joint
+from ..models.joint import Joint, load_joint
 from . import native, plant, plugin
 
 _LONGEST = 1.5  # rad: of the gear's fastest oscillation in a step; the scheme is stable below 2
@@ -41,10 +42,28 @@ class _Hinge:
     axis: np.ndarray
 
 
-def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
-    """Put a joint's laws on a hinge; see `flexspline.attach`. Raises `InputError`: no such hinge, a model that does not
-    compile, a timestep that is too long."""
-    return attach_record(spec, joint_name, joint.record())
+def attach(spec: mujoco.MjSpec, joint_name: str, joint: str | Path | Joint) -> Attached:
+    """Add a joint's laws to a hinge of a MuJoCo model: torsion, wave generator, friction, kinematic error, all effects.
+
+    A rotor and a wave generator are added to the body that carries the hinge. An engine plugin acts between them and the link.
+    Actuators on the hinge then turn the rotor through 1/N: controls, gains and limits keep their meaning at the output. A hinge
+    without actuator gets a motor `<joint_name>_motor` with winding, whose control is the motor's torque [N·m, motor side]. The
+    hinge's own damping, armature and friction loss are replaced. Keyframes are extended. The integrator becomes `implicitfast`
+    unless it is `implicit`. The joint's mounting is not used: the model has its own bodies.
+
+    Args:
+      spec: the model before it is compiled; changed in place.
+      joint_name: of the hinge, which must be the only joint of its body.
+      joint: name of a shipped joint, path of a description, or a `Joint`.
+
+    Returns:
+      Names in the model: `rotor`, `wave_generator` (joints), `actuators` that turn the rotor.
+
+    Raises:
+      InputError: no such hinge; a model that does not compile; a timestep that is too long for the gear, with the limit.
+    """
+    described = joint if isinstance(joint, Joint) else load_joint(joint)
+    return attach_record(spec, joint_name, described.record())
 
 
 def attach_record(spec: mujoco.MjSpec, joint_name: str, record: np.ndarray) -> Attached:
@@ -56,7 +75,7 @@ def attach_record(spec: mujoco.MjSpec, joint_name: str, record: np.ndarray) -> A
     if p["flexible_share"] > 0:
         p["flexible_share"] = 0.0
         text = f"joint {joint_name!r}: the flexible part of its link is left out, as the model has its own bodies"
-        warnings.warn(text, InputWarning, stacklevel=4)
+        warnings.warn(text, InputWarning, stacklevel=3)
     _check_timestep(spec, joint_name, p)
     before = _compiled(spec)
     hinge = _hinge(before, joint_name)
@@ -187,8 +206,19 @@ def _keys(
         yield values
 
 
-def align(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Turn rotors and wave generators to the angles of their links; see `flexspline.align`."""
+def align(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    """Turn the rotors and wave generators of attached joints to their links' positions, after a change of `data.qpos`.
+
+    Args:
+      model: with attached joints.
+      data: of that model; changed in place.
+
+    Returns:
+      The same data: positions [rad] and velocities [rad/s] of the motor sides are N times the links', without torsion.
+
+    Raises:
+      InputError: a model without attached joints.
+    """
     plugin.register()
     gears = [i for i in range(model.nplugin) if model.plugin[i] == plugin.slot()]
     if not gears:
@@ -200,3 +230,4 @@ def align(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         data.qvel[velocities[:link]] = p["N"] * data.qvel[velocities[link]]
         memory = data.plugin_state[model.plugin_stateadr[i] :]
         memory[plugin.MEMORY : plugin.MEMORY + 3] = data.qvel[velocities]
+    return data

@@ -11,6 +11,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ..models.gear_sheet import comparison
+from .report import plain
 from .tables import heading, text_table
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str
         first, Text("\n".join(textwrap.wrap(" ".join(joint.description.split()), WIDTH)), style="dim"), "",
         _stiffness(c, number["rated_torque"]), Text(loop), "", _efficiency(c, number["rated_torque"]), "",
         _resonances(c, number["rated_torque"]), Text("\n".join(_encoders(c))), "",
-        Text("Causes that a diagnosis can detect", style="bold"), *(_causes(seen)),
+        Text("Causes that a diagnosis can detect", style="bold"), Text("\n".join(causes_lines(seen, WIDTH, "  "))),
     )  # fmt: skip
 
 
@@ -106,10 +107,7 @@ def _encoders(c: Characteristics) -> list[str]:
     return textwrap.wrap(text, WIDTH)
 
 
-def _causes(seen: Mapping[str, Sequence[str]]) -> list[Text]:
-    found = []
-    for what, names in seen.items():
-        if names:
-            words = ", ".join(name.replace("_", " ") for name in names)
-            found.append(Text("\n".join(textwrap.wrap(f"{what}: {words}", WIDTH, subsequent_indent="  "))))
-    return found
+def causes_lines(seen: Mapping[str, Sequence[str]], width: int, indent: str) -> list[str]:
+    """Return the causes that each set of channels can show, wrapped; `indent`: of further lines."""
+    texts = (f"{what}: {', '.join(map(plain, names))}" for what, names in seen.items() if names)
+    return [line for text in texts for line in textwrap.wrap(text, width, subsequent_indent=indent)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from .figures.sheet import LEFT, RIGHT, WIDTH, blank, place, save, styled
+from .figures.sheet import LEFT, RIGHT, WIDTH, blank, place, styled
 from .style import COMMAND, FILTERS, TRUTH
 
 if TYPE_CHECKING:
@@ -113,12 +112,6 @@ def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int) -> Figure:
 
 _LEAST_DELAY = 0.1  # ms
 _NAMES, _SMALL, _LEGEND = 1.45, 1.35, 2.05  # in: names left of a panel, a small panel, a legend
-
-
-def save_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG, moved into place when complete."""
-    figure.set_dpi(110)
-    return save(figure, path)
 
 
 def _consistency(axes: Axes, estimators: Sequence[Assessment], which: str, label: str) -> None:

@@ -53,21 +53,17 @@ def write_summary(found: Sequence[Limits], path: Path) -> None:
 
 def write_limits(limits: Limits, path: Path) -> None:
     """Write errors, bounds and NEES over time as Parquet, with units in the metadata."""
-    columns = {
-        "time": ("s", limits.time),
-        "bound": ("N·m", limits.bound),
-        "bound_paper_model": ("N·m", limits.torsion_bound),
-    }
+    columns = {"time": limits.time, "bound": limits.bound, "bound_paper_model": limits.torsion_bound}
     if limits.tolerance > 0.0:
-        columns["bound_tolerance"] = ("N·m", limits.tolerance_bound)
+        columns["bound_tolerance"] = limits.tolerance_bound
     for e in limits.estimators:
         if e.error.size:
-            columns[f"error_{e.name}"] = ("N·m", e.error)
+            columns[f"error_{e.name}"] = e.error
         if e.nees_over_time is not None:
-            columns[f"nees_{e.name}"] = ("1", e.nees_over_time)
+            columns[f"nees_{e.name}"] = e.nees_over_time
+    units = {name: "s" if name == "time" else "1" if name.startswith("nees_") else "N·m" for name in columns}
     with write_into_place(path) as temporary:
-        units = {name: unit for name, (unit, _) in columns.items()}
-        write_table(temporary, {name: values for name, (_, values) in columns.items()}, units)
+        write_table(temporary, columns, units)
 
 
 def limits_table(limits: Limits) -> Table:

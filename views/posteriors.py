@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .series import share
+
 if TYPE_CHECKING:
     from ..scenarios.run import Run
 
@@ -27,6 +29,16 @@ def modes(run: Run, name: str) -> np.ndarray:
 def robust_share(run: Run, name: str, part: np.ndarray) -> float:
     """Return the share of robust mode [%] in a part of the samples."""
     return 100 * float(np.mean(modes(run, name)[part]))
+
+
+def moving_mean(run: Run, values: np.ndarray) -> np.ndarray:
+    """Return the mean over `SHARE_WINDOW` of flags or values, shape (n,)."""
+    return share(values, round(SHARE_WINDOW / float(run.time[1] - run.time[0])))
+
+
+def robust_shares(run: Run, name: str) -> np.ndarray:
+    """Return the moving share of robust mode [%], shape (n,)."""
+    return 100 * moving_mean(run, modes(run, name))
 
 
 def switching(run: Run) -> list[str]:

@@ -21,23 +21,13 @@ def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -
     left = max(columns - int(np.count_nonzero(kept)) // 2, min(columns, 32))
     kept[[0, -1]] = True
     size = -(-n // left)
-    whole = n // size * size
-    finite = np.isfinite(values)
-    for part in (slice(0, whole), slice(whole, n)):
-        piece, there = values[part], finite[part]
-        width = size if part.start == 0 else n - whole
-        if not width:
-            continue
-        start = np.arange(part.start, part.stop, width)
-        buckets, there = piece.reshape(-1, width), there.reshape(-1, width)
-        if there.all():
-            kept[start + buckets.argmin(axis=1)] = True
-            kept[start + buckets.argmax(axis=1)] = True
-            continue
-        kept[start + np.where(there, buckets, np.inf).argmin(axis=1)] = True
-        kept[start + np.where(there, buckets, -np.inf).argmax(axis=1)] = True
-        gaps = ~there.all(axis=1)
-        kept[start[gaps] + there[gaps].argmin(axis=1)] = True
+    start = np.arange(0, n, size)
+    buckets = np.pad(values.astype(float), (0, -n % size), constant_values=np.nan).reshape(-1, size)
+    there = np.isfinite(buckets)
+    kept[start + np.where(there, buckets, np.inf).argmin(axis=1)] = True
+    kept[start + np.where(there, buckets, -np.inf).argmax(axis=1)] = True
+    gap = (start + there.argmin(axis=1))[~there.all(axis=1)]
+    kept[gap[gap < n]] = True
     return np.flatnonzero(kept)
 
 

@@ -89,7 +89,16 @@ def users_joint(text: str, hinge: str, file: str, target: str) -> list[_Element]
     root, kinds = ("mujoco", ("hinge",)) if target == "mjcf" else ("robot", ("revolute", "continuous"))
     if elements[0].tags[0] != root:
         raise InputError(f"{file}: expected a file with root {root} for --to {target}, got {elements[0].tags[0]}")
-    joint = _joint(elements, hinge, file)
+    # Actuators, equalities and transmissions name joints, too.
+    places = [one for one in elements if "body" in one.tags or one.tags[:-1] == ("robot",)]
+    joints = [one for one in places if one.tags[-1] == "joint" and "name" in one.attributes]
+    found = [one for one in joints if one.attributes["name"] == hinge]
+    if len(found) != 1:
+        known = ", ".join(dict.fromkeys(one.attributes["name"] for one in joints)) or "none"
+        files = ", ".join(one.attributes.get("file", "") for one in elements if one.tags[-1] == "include")
+        more = f"; --into takes the file that has the joint itself (it includes {files})" if files else ""
+        raise InputError(f"{file}: expected one joint {hinge!r}, got {len(found)}; its joints are {known}{more}")
+    joint = found[0]
     kind = joint.attributes.get("type", kinds[0])
     if kind not in kinds:
         raise InputError(f"{file}: joint {hinge!r}: expected type {' or '.join(kinds)}, got {kind}")
@@ -177,22 +186,6 @@ def _elements(text: str, file: str) -> list[_Element]:
     except expat.ExpatError as error:
         raise InputError(f"{file}: not readable XML: {error}") from error
     return found
-
-
-def _joint(elements: list[_Element], hinge: str, file: str) -> _Element:
-    """Return the element of a joint of a body or of the robot; actuators, equalities and transmissions name joints, too."""
-    joints = [
-        one
-        for one in elements
-        if one.tags[-1] == "joint" and ("body" in one.tags or one.tags[:-1] == ("robot",)) and "name" in one.attributes
-    ]
-    found = [one for one in joints if one.attributes["name"] == hinge]
-    if len(found) != 1:
-        known = ", ".join(dict.fromkeys(one.attributes["name"] for one in joints)) or "none"
-        files = ", ".join(one.attributes.get("file", "") for one in elements if one.tags[-1] == "include")
-        more = f"; --into takes the file that has the joint itself (it includes {files})" if files else ""
-        raise InputError(f"{file}: expected one joint {hinge!r}, got {len(found)}; its joints are {known}{more}")
-    return found[0]
 
 
 def _with_attributes(tag: str, values: Mapping[str, str]) -> str:

@@ -60,18 +60,13 @@ def with_interval(value: Interval, scale: float = 1.0) -> str:
 def sweep_rows(aggregates: Sequence[Aggregate]) -> Iterator[tuple[str, dict, dict[str, Aggregate]]]:
     """Yield rows: scenario, point of the axes, filter → summary. A filter that an axis does not vary is in all its rows."""
     whole = [s for s in aggregates if None not in s.columns.values()] or list(aggregates)
-    seen = set()
+    points: dict[tuple, Aggregate] = {}
     for s in whole:
-        key = (s.scenario, *s.columns.values())
-        if key in seen:
-            continue
-        seen.add(key)
-        at = [
-            o
-            for o in aggregates
-            if o.scenario == s.scenario and all(v is None or v == s.columns[k] for k, v in o.columns.items())
-        ]
-        yield s.scenario, s.columns, {o.filter: o for o in at}
+        points.setdefault((s.scenario, *s.columns.values()), s)
+    for s in points.values():
+        here = (o for o in aggregates if o.scenario == s.scenario)
+        at = {o.filter: o for o in here if all(v is None or v == s.columns[k] for k, v in o.columns.items())}
+        yield s.scenario, s.columns, at
 
 
 class FirstThatFits:
@@ -106,15 +101,14 @@ def _empty(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
 
 
 def _wide(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
-    column, table = metric_column(metric), _empty(aggregates, study, metric)
-    colors = filter_colors(study.names)
+    table, colors = _empty(aggregates, study, metric), filter_colors(study.names)
     for name in study.names:
         table.add_column(Text(name, style=colors[name]), justify="right", no_wrap=True)
     before = None
     for scenario, columns, of in sweep_rows(aggregates):
         if before not in (None, scenario):
             table.add_section()
-        cells = [Text(cell(of.get(name), metric, column), style=_style(of.get(name), metric)) for name in study.names]
+        cells = [_colored(of.get(name), metric) for name in study.names]
         at = (Text(value_text(value)) for value in columns.values())
         table.add_row(Text(scenario if before != scenario else ""), *at, *cells)
         before = scenario
@@ -122,16 +116,19 @@ def _wide(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
 
 
 def _long(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
-    column, table = metric_column(metric), _empty(aggregates, study, metric)
-    colors = filter_colors(study.names)
+    table, colors = _empty(aggregates, study, metric), filter_colors(study.names)
     table.add_column("filter", overflow="fold")
-    table.add_column(Text(column.title), justify="right", no_wrap=True)
+    table.add_column(Text(metric_column(metric).title), justify="right", no_wrap=True)
     for scenario, columns, of in sweep_rows(aggregates):
         place = [Text(scenario), *(Text(value_text(value)) for value in columns.values())]
         for i, name in enumerate(study.names):
-            shown = Text(cell(of.get(name), metric, column), style=_style(of.get(name), metric))
             first = place if i == 0 else [Text("")] * len(place)
-            table.add_row(*first, Text(name, style=colors[name]), shown, end_section=i + 1 == len(study.names))
+            table.add_row(
+                *first,
+                Text(name, style=colors[name]),
+                _colored(of.get(name), metric),
+                end_section=i + 1 == len(study.names),
+            )
     return table
 
 
@@ -161,20 +158,19 @@ def sweep_markdown(aggregates: Sequence[Aggregate], study: Study) -> str:
         column = metric_column(metric)
         lines += [f"## {column.title}", "", f"{column.meaning[0].upper()}{column.meaning[1:]}.", ""]
         rows = [
-            (scenario, *(value_text(columns[a]) for a in axes), *(cell(of.get(n), metric, column) for n in study.names))
+            (scenario, *(value_text(columns[a]) for a in axes), *(cell(of.get(n), metric) for n in study.names))
             for scenario, columns, of in sweep_rows(aggregates)
         ]
         lines += [markdown_table(("scenario", *axes, *study.names), rows), ""]
     return "\n".join(lines)
 
 
-def cell(summary: Aggregate | None, metric: str, column: Column) -> str:
+def cell(summary: Aggregate | None, metric: str) -> str:
     """Return mean, interval and mark of a metric as text."""
     if summary is None:
         return "–"
-    text = with_interval(summary.values[metric], column.scale)
-    sign = sign_of(summary, metric)
-    return f"{text} {' ' if sign == 0 else BETTER if sign < 0 else WORSE}".rstrip()
+    text = with_interval(summary.values[metric], metric_column(metric).scale)
+    return f"{text} {(' ', WORSE, BETTER)[sign_of(summary, metric)]}".rstrip()
 
 
 def sign_of(summary: Aggregate | None, metric: str) -> int:
@@ -182,9 +178,8 @@ def sign_of(summary: Aggregate | None, metric: str) -> int:
     return summary.differences[metric].sign if summary is not None and metric in summary.differences else 0
 
 
-def _style(summary: Aggregate | None, metric: str) -> str:
-    sign = sign_of(summary, metric)
-    return "" if sign == 0 else "green" if sign < 0 else "red"
+def _colored(summary: Aggregate | None, metric: str) -> Text:
+    return Text(cell(summary, metric), style=("", "red", "green")[sign_of(summary, metric)])
 
 
 def value_text(value: float | str | None) -> str:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._listing import AsJson
-from .._options import with_plugins
+from ...models.errors import one_line
+from .._options import AsJson, with_plugins
 
 if TYPE_CHECKING:
     from ...models.joint_check import Fault
@@ -48,7 +48,6 @@ def command(
 
 def line(path: Path, problem: Fault) -> str:
     """Return a problem as a line, with the meaning of its symbol."""
-    from ...models.errors import one_line
     from ...models.files import place
     from ...models.joint_parts import SYMBOLS
     from ...views.glossary import meaning

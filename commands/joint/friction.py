@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from .._listing import AsJson
+from ...models.output import check_output, made_from, output_folder
 from .._measurement import load_measurement
-from .._options import ResultFolder, with_plugins
+from .._options import AsJson, ResultFolder, with_plugins
 
 EXAMPLES = (
     "flexspline joint friction csg-25-100-tbm2g --out friction",
@@ -33,7 +33,6 @@ def command(
 
     from ...models.friction_map import COLUMNS, c_function, friction_map
     from ...models.joint import load_joint
-    from ...models.output import check_output, made_from, output_folder
 
     described = load_joint(joint)
     maker, names = made_from("friction", joint), ["friction.csv", "friction.c"]

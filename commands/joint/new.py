@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...models.errors import InputError
-from .._listing import AsJson
+from ...models.errors import InputError, nearest
+from .._console import console
+from .._options import AsJson
 
 if TYPE_CHECKING:
     from ...models.datasheet import NewJoint
@@ -150,7 +151,6 @@ def _asking(key: str) -> Callable[[str], Any]:
 
 
 def _pairs(option: str, given: Sequence[str] | None) -> Iterator[tuple[str, str]]:
-    from ...models.errors import nearest
     from ...models.joint_parts import SYMBOLS
 
     for one in given or ():
@@ -187,7 +187,6 @@ def _show(made: NewJoint, path: Path, mjcf: Path, catalogue: GearSheet | None) -
     from ...models.joint_check import check
     from ...views.joint_text import comparison_text
     from ...views.tables import text_table
-    from .._console import console
     from .check import line
 
     terminal = console()

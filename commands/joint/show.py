@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...models.errors import InputError
-from .._listing import AsJson
-from .._options import with_plugins
+from .._console import console
+from .._options import AsJson, with_plugins
 
 if TYPE_CHECKING:
     from ...models.joint import Joint
@@ -52,7 +52,6 @@ def command(
         answer = {"joint": described.name, **plain(found), **compared, "diagnosis": seen}
     else:
         from ...views.joint_text import WIDTH, comparison_text, joint_text
-        from .._console import console
 
         console().print(joint_text(described, found, seen), width=WIDTH)
         if catalogue is not None:

@@ -33,7 +33,7 @@ from flexspline.models.joint import load_joint
 from flexspline.models.joint_parts import Effect, Estimate
 from flexspline.models.recording import Measurement, read_measurement, write_recording
 from flexspline.views.glossary import meaning
-from flexspline.views.pages import html
+from flexspline.views.pages.diagnosis import html
 from flexspline.views.report import Report, confused_with, markdown, verdict_sentence
 from flexspline.views.rerun import write_rerun_report
 from flexspline.views.residuals import overlays

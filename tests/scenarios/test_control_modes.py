@@ -17,7 +17,7 @@ from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.run_folder import load_run, save_run
 from flexspline.scenarios.scenario import Scenario
-from flexspline.views.figures.overview import overview
+from flexspline.views.figures.run import overview
 
 P = load_joint("test-joint").record()[0]
 BENCH = {"mounting": "", "link": {"inertia": 1e9, "gravity_moment": 0.0}}

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexspline.views.dependence import ORDERS, explained, means, orders, strongest_variable
-from flexspline.views.residuals import ResidualSeries
+from flexspline.views.residuals import ORDERS, ResidualSeries, explained, means, orders, strongest_variable
 
 
 @pytest.fixture

@@ -15,7 +15,8 @@ from flexspline.models.errors import InputError
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views import figures
-from flexspline.views.figures import experiments, hysteresis, overview, sheet, signals, zoom
+from flexspline.views.figures import paper, sheet, signals
+from flexspline.views.figures.run import overview
 
 GENERAL = {"overview", "filters", "error"}
 
@@ -29,7 +30,7 @@ def test_pushes_give_the_papers_figures_8_and_9(pushed, tmp_path):
     assert set(made) == {"fig8_external_push", "fig9_zoom"} | GENERAL
     assert "Paper:" in caption(made["fig8_external_push"])
     assert "Ours" in caption(made["fig9_zoom"])
-    assert [push.torque for push in zoom.zoomed(pushed)] == [5, -5]
+    assert [push.torque for push in paper.zoomed(pushed)] == [5, -5]
 
 
 def test_figures_are_written_as_pictures_with_something_on_them(bare, tmp_path):
@@ -42,7 +43,7 @@ def test_figures_are_written_as_pictures_with_something_on_them(bare, tmp_path):
 
 
 def test_no_load_shows_the_limit_that_the_paper_states(bare):
-    figure = experiments.no_load(bare)
+    figure = paper.no_load(bare)
     labels = figure.axes[1].get_legend_handles_labels()[1]
     assert "paper: ±0.1 N·m" in labels
     assert "below 0.1 N·m" in caption(figure)
@@ -61,19 +62,19 @@ def test_width_of_a_known_loop():
     phase = np.linspace(0, 4 * np.pi, 4001)
     torque = 10 * np.sin(phase)
     torsion = torque / 8 - 0.2 * np.sign(np.cos(phase))
-    assert hysteresis.half_width(torque, torsion) == pytest.approx(0.2, rel=1e-2)
-    assert hysteresis.half_width(np.abs(torque) + 1, torsion) == 0.0
+    assert paper.half_width(torque, torsion) == pytest.approx(0.2, rel=1e-2)
+    assert paper.half_width(np.abs(torque) + 1, torsion) == 0.0
 
 
 def test_the_style_stays_inside(bare):
     before = dict(matplotlib.rcParams)
-    overview.overview(bare)
+    overview(bare)
     assert dict(matplotlib.rcParams) == before
 
 
 def test_panels_do_not_cover_each_other(pushed):
     """Labels and legends of the panels stay apart and on the sheet, in the picture's pixels."""
-    figure = experiments.external_push(pushed)
+    figure = paper.external_push(pushed)
     figure.canvas.draw()
     boxes = [axes.get_tightbbox() for axes in figure.axes[:3]]
     for upper, lower in itertools.pairwise(boxes):
@@ -102,7 +103,7 @@ def test_nothing_loads_matplotlib_before_a_figure_is_drawn():
 
 
 def test_response_is_relative_to_the_truth(pushed):
-    text = caption(zoom.push_zoom(pushed))
+    text = caption(paper.push_zoom(pushed))
     late = pushed.metrics["filters"]["EKF"]["response_ms"]
     assert f"EKF {late:.1f} ms" in text and "after the truth" in text
 
@@ -115,7 +116,7 @@ def test_a_folder_that_cannot_be_written_is_refused_in_one_line(bare, tmp_path):
 
 
 def test_legends_stand_in_a_row_that_ends_with_the_panel(pushed):
-    figure = experiments.external_push(pushed)
+    figure = paper.external_push(pushed)
     figure.canvas.draw()
     top, legend = figure.axes[0].bbox, figure.axes[0].get_legend()
     assert [t.get_text() for t in legend.get_texts()] == ["torque sensor", "truth", "RAREKF"]

@@ -14,6 +14,7 @@ from flexspline.estimator.consistency import Mean
 from flexspline.scenarios.evaluation.limits import Assessment, Limits
 from flexspline.scenarios.evaluation.tuning import Front, Tuned, with_parameters
 from flexspline.views import limit_figures, limit_tables, tables
+from flexspline.views.figures.sheet import save
 
 
 @pytest.fixture
@@ -94,7 +95,7 @@ def test_limits_figure(limits, tmp_path):
     assert {"RAREKF", "rts_smoother", "bound, joint's dynamics"} <= set(labels) and "lost" not in labels
     assert top.get_yscale() == "log" and [t.get_text() for t in nis.get_yticklabels()] == ["RAREKF"]
     assert len(nees.lines) == 3 and len(whiteness.lines) == 1
-    path = limit_figures.save_figure(figure, tmp_path / "limits.png")
+    path = save(figure, tmp_path / "limits.png", 110)
     assert np.ptp(matplotlib.image.imread(path)) > 0.5
 
 

@@ -16,7 +16,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from test_view import listening
 
-from flexspline.commands._live import play
+from flexspline.commands.view import play, viewer_command, viewer_environment
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.rerun import RunRecording, write_rerun
@@ -159,18 +159,16 @@ def test_it_listens_here_only_and_ctrl_c_ends_it(tmp_path):
 
 def test_measures_in_the_end_as_json(flexspline, monkeypatch):
     """A viewer that ends when the run has: its place is taken by a server without one."""
-    from flexspline.commands import _live
-
     sent = {}
 
-    def shown(run, words, environment, port, speed):
-        assert environment["CI"] == "1" and "127.0.0.1" in words and str(port) in words
+    def shown(run, web, speed):
+        assert viewer_environment()["CI"] == "1" and {"127.0.0.1", "9876"} <= set(viewer_command(None, web, 9876))
         sent["speed"] = speed
         stream = rr.RecordingStream("test")
         stream.binary_stream()
         assert play(RunRecording(stream, run, live=True), 1000.0)
 
-    monkeypatch.setattr(_live, "show_live", shown)
+    monkeypatch.setattr("flexspline.commands.view.show_live", shown)
     monkeypatch.setenv("DISPLAY", ":0")
     code, out, err = flexspline(
         "view", "--live", "no_load", "--set", "duration=2", "--set", "filters=[RAREKF]", "--speed", 4, "--json"

@@ -13,11 +13,10 @@ from flexspline.models.errors import InputError
 from flexspline.sim import plant
 from flexspline.sim.shape import shape
 from flexspline.views.rerun import write_rerun
-from flexspline.views.rerun.arrows import DEGREES_PER_TORQUE
 from flexspline.views.rerun.diagnosis import send_channel
 from flexspline.views.rerun.recording import layout, series_view
 from flexspline.views.rerun.recording import recording as opened
-from flexspline.views.rerun.scene import send_geoms
+from flexspline.views.rerun.scene import DEGREES_PER_TORQUE, send_geoms
 from flexspline.views.residuals import Overlay
 
 

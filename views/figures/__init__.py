@@ -30,17 +30,18 @@ def save_figures(run: Run, folder: Path) -> list[Path]:
 
 def chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
     """Return the functions that draw a run, by file name: figures of the paper that its scenario names, and general ones."""
-    from . import error, experiments, filters, hysteresis, overview, zoom
+    from . import paper
+    from .run import error, filters, overview
 
     of_paper: dict[str, tuple[str, Callable[[Run], Figure]]] = {
-        "3": ("fig3_stiffness", hysteresis.stiffness),
-        "5": ("fig5_no_load", experiments.no_load),
-        "7": ("fig7_link_sweep", experiments.link_sweep),
-        "8": ("fig8_external_push", experiments.external_push),
-        "9": ("fig9_zoom", zoom.push_zoom),
+        "3": ("fig3_stiffness", paper.stiffness),
+        "5": ("fig5_no_load", paper.no_load),
+        "7": ("fig7_link_sweep", paper.link_sweep),
+        "8": ("fig8_external_push", paper.external_push),
+        "9": ("fig9_zoom", paper.push_zoom),
     }
     found = dict(of_paper[number] for number in re.findall(r"\d+", run.scenario.figure) if number in of_paper)
-    if "fig9_zoom" in found and not zoom.zoomed(run):
+    if "fig9_zoom" in found and not paper.zoomed(run):
         del found["fig9_zoom"]
-    more = {"filters": filters.filters} if innovations(run) else {}
-    return found | {"overview": overview.overview, **more, "error": error.error}
+    more = {"filters": filters} if innovations(run) else {}
+    return found | {"overview": overview, **more, "error": error}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from ...models.gear_sheet import EFFICIENCY, RUNNING
+from ..joint_text import causes_lines
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, TRUTH
 from .sheet import sheet, styled
 
@@ -37,7 +37,7 @@ def joint_figure(
         f"without load, seen at the output. Rated torque {rated:g} N·m; the motor gives {c.largest_torque:.3g} N·m at its "
         f"current limit and {c.no_load_speed:.3g} rad/s at its supply. {' '.join(joint.description.split())}"
     )
-    lines = [line for what, names in seen.items() if names for line in _lines(what, names)]
+    lines = causes_lines(seen, _COLUMN, "    ")
     figure, rows = sheet(joint.name, caption, [2.3, 2.3, 2.0, 0.16 * len(lines) - 0.2], columns=2, shared=())
     (stiffness, loop), (friction, lowest), (driving, back_driving), (text, empty) = rows
     _stiffness(stiffness, c, rated)
@@ -82,11 +82,6 @@ def _data_sheet(friction: Axes, driving: Axes, joint: Joint, c: Characteristics,
 def _kind(one: SheetEntry) -> tuple[str, float, float]:
     """Return what a curve of a data sheet has in common: kind, temperature, and an efficiency's speed."""
     return one.kind, one.temperature, one.speed if one.kind == EFFICIENCY else 0.0
-
-
-def _lines(what: str, names: Sequence[str]) -> list[str]:
-    words = ", ".join(name.replace("_", " ") for name in names)
-    return textwrap.wrap(f"{what}: {words}", _COLUMN, subsequent_indent="    ")
 
 
 def _stiffness(axes: Axes, c: Characteristics, rated: float) -> None:

@@ -153,8 +153,9 @@ def decades(*several: Axis) -> None:
         axis.set_minor_locator(NullLocator())
 
 
-def save(figure: Figure, path: Path) -> Path:
+def save(figure: Figure, path: Path, dpi: int = _DPI) -> Path:
     """Write a figure as PNG, moved into place when complete. Raises `InputError`: the file cannot be written."""
+    figure.set_dpi(dpi)
     with matplotlib.rc_context(STYLE), write_into_place(path) as temporary:
         canvas = figure.canvas
         assert isinstance(canvas, FigureCanvasAgg)

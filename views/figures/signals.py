@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..posteriors import SHARE_WINDOW, modes, settled
-from ..series import envelope, extremes, share
+from ..posteriors import robust_shares, settled
+from ..series import envelope, extremes
 from ..style import SENSOR, TRUTH, filter_colors, main_filter
 from .sheet import PIXELS
 
@@ -46,9 +46,8 @@ def torques(run: Run, axes: Axes, names: Sequence[str], truth_on_top: bool = Fal
 def mode(run: Run, axes: Axes, names: Sequence[str], fill: str = "") -> None:
     """Draw the share of the time in robust mode."""
     colors = filter_colors(run.estimates)
-    window = round(SHARE_WINDOW / period(run))
     for name in names:
-        values = 100 * share(modes(run, name), window)
+        values = robust_shares(run, name)
         i = envelope(values, PIXELS)
         if name == fill:
             axes.fill_between(run.time[i], values[i], color=colors[name], alpha=0.35, lw=0)
@@ -60,11 +59,6 @@ def main(run: Run) -> tuple[str, dict[str, str]]:
     """Return the main filter, and the colours of all."""
     moding = [name for name, found in run.estimates.items() if found.robust is not None]
     return main_filter(moding or run.estimates), filter_colors(run.estimates)
-
-
-def period(run: Run) -> float:
-    """Return the sample period [s]."""
-    return float(run.time[1] - run.time[0])
 
 
 def rms(values: np.ndarray) -> float:

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 
 from ...models.errors import InputError
-from ...models.files import check_format, read_json
 from ..contact_views import HEADS, contact_rows, measure_text, reasons, titles
 from .chart import Chart, limits
-from .provenance import file_digest
-from .rendering import render
+from .rendering import file_digest, output_of, render
 from .run import line_kinds
 
 MEASURES = ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay")
@@ -54,9 +52,7 @@ def read_curves(path: Path) -> list[dict[str, Any]]:
 
 def read_answer(path: Path) -> dict[str, Any]:
     """Read `contact.json`. Raises `InputError`: a file with other content."""
-    answer = read_json(path, "the answer of flexspline contact")
-    check_format(answer, path)
-    try:
+    with output_of(path, "contact") as answer:
         for row in answer["detectors"]:
             numbers = [row[f"{name}{end}"] for name in MEASURES for end in ("", "_low", "_high")]
             numbers += [row["tolerance"] + 0.0, row["threshold"]]
@@ -67,8 +63,6 @@ def read_answer(path: Path) -> dict[str, Any]:
             if not 0.0 < answer[key] < math.inf:
                 raise ValueError
         list(map(str.strip, (answer["scenario"], answer["joint"], *answer["arguments"])))
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: expected the answer of flexspline contact, got something else") from error
     if not answer["detectors"]:
         raise InputError(f"{path}: expected detectors, got none")
     return answer

@@ -17,7 +17,6 @@ import numpy as np
 from ...models import causes, plugins
 from ...models.characteristics import drive_gains
 from ...models.command_lines import checking, mending
-from ...models.files import write_text
 from ..advice import advice, parameter_text
 from ..glossary import meaning, pieces
 from ..numbers import number, percent, with_std
@@ -34,13 +33,11 @@ from ..report import (
 )  # fmt: skip
 from ..residuals import balances, overlays
 from . import residual_charts
-from .provenance import recordings_data
-from .rendering import render
+from .rendering import fingerprint, render
 from .response_charts import response_context
 
 if TYPE_CHECKING:
     from ...diagnosis.answer import Diagnosis, Finding
-    from ...diagnosis.data.mistakes import Mistake
     from ...diagnosis.search.explore import Decision
 
 NOISY = 1.6  # A residual this many times its noise is more than noise
@@ -67,16 +64,10 @@ class Compared:
         return round(100 * value / (max(self.before, self.after, self.noise) or 1.0), 1)
 
 
-def write_report(report: Report, path: Path) -> Path:
-    """Write the page, moved into place when it is complete. Raises `InputError`: the file cannot be written."""
-    write_text(path, html(report))
-    return path
-
-
 def html(report: Report) -> str:
     """Return the page as text: one file without references to others."""
     d, gained, recordings = report.diagnosis, report.improvement, report.measurement.recordings
-    found, valid = balances(report), d.extended.valid
+    found = balances(report)
     rows = [Compared(*row) for row in held_out_rows(d, None)]
     noise = gained.noise if gained is not None else 0.0
     errors = gained.errors.items() if gained is not None else ()
@@ -85,11 +76,6 @@ def html(report: Report) -> str:
         (name, meaning(name), with_std(m.nominal, 0.0, m.unit), with_std(m.value, m.std, m.unit), m.moved)
         for name, m in d.calibration.items()
     ]
-    ranges = (
-        ("link angle", "link_position", "rad"),
-        ("link velocity", "link_velocity", "rad/s"),
-        ("joint torque", "joint_torque", "N·m"),
-    )
     context = {
         "d": d,
         "name": report.measurement.name,
@@ -98,7 +84,6 @@ def html(report: Report) -> str:
         "gravity": gravity_sentence(d, gained),
         "reasons": further_reasons(d),
         "zeroed": d.extended.sensors.link_encoder.zero != report.joint.sensors.link_encoder.zero,
-        "mistakes": [_mistake(m) for m in d.mistakes],
         "lost": any(m.lost for m in d.mistakes),
         "computed": d.problem is not None,
         "both_ends": d.problem is not None and d.problem.link_measured,
@@ -112,7 +97,7 @@ def html(report: Report) -> str:
         "left": [(c.name, c.after / c.noise) for c in rows if c.noise > 0],
         "loud": any(c.after > NOISY * c.noise for c in rows),
         "commands": _commands(report),
-        "next": _best(report),
+        "next": next(iter(report.plan.proposals), None) if report.plan is not None else None,
         "causes": [_cause(report, c) for c in d.causes],
         "minor": [_cause(report, c) for c in d.minor],
         "decisions": _decisions(d),
@@ -121,27 +106,17 @@ def html(report: Report) -> str:
         "balances": residual_charts.by_variable(found),
         "measured_response": response_context(report.response),
         "channels": rows,
-        "valid": [
-            (name, *(number(x, 3) for x in getattr(valid, field)), unit) for name, field, unit in ranges if valid is not None
-        ],
         "estimators": estimators,
         "improvement": gained,
         "trace": residual_charts.trace(gained) if gained is not None else None,
         "moved": moved,
         "confused": confused_with(d.confusable),
         "undetermined": [(plain(n), causes.get(n).component, reason) for n, reason in d.undetermined.items()],
-        "plan": _plan(report),
+        "plan": report.plan,
         "library": len(causes.of(report.joint)),
-        "data": recordings_data(recordings),
+        "data": [(r.name, len(r.time), ", ".join(r.columns), fingerprint(r)) for r in recordings],
     }  # fmt: skip
     return render("diagnosis.html.j2", context)
-
-
-def _mistake(m: Mistake) -> dict[str, Any]:
-    return {
-        "name": plain(m.name), "column": m.columns, "recording": m.recording, "text": m.description, "confidence": m.confidence,
-        "remedy": m.remedy if m.lost else m.change if m.sure else f"most: {m.change}",
-    }  # fmt: skip
 
 
 def _commands(report: Report) -> dict[str, str]:
@@ -165,14 +140,6 @@ def _gains(report: Report) -> str:
         return ""
     kp, kd = drive_gains(report.joint)
     return f" --set controller.kp={kp:.2g} --set controller.kd={kd:.2g}"
-
-
-def _best(report: Report) -> dict[str, Any] | None:
-    """The experiment that is expected to add most information, if there is one."""
-    plan = report.plan
-    if plan is None or not plan.proposals:
-        return None
-    return {"name": plan.proposals[0].name, "text": plan.sentence(plan.proposals[0])}
 
 
 def _cause(report: Report, c: Finding) -> dict[str, Any]:
@@ -220,16 +187,3 @@ def _decisions(d: Diagnosis) -> list[dict[str, Any]]:
         kept = rows.setdefault(tuple(map(str, row.values())), row | {"stages": [], "order": x.gain})
         kept["stages"].append(_STAGES.get(x.stage, x.stage))
     return sorted(rows.values(), key=lambda row: (not row["taken"], -np.nan_to_num(row["order"])))
-
-
-def _plan(report: Report) -> dict[str, Any] | None:
-    plan = report.plan
-    if plan is None:
-        return None
-    return {
-        "motions": [(plain(p.name), p.duration, plan.sentence(p)) for p in plan.proposals],
-        "questions": [
-            (q.text, q.needed, q.now, [(p.expected[i], p.expected[i] >= q.needed) for p in plan.proposals])
-            for i, q in enumerate(plan.questions)
-        ],
-    }

@@ -1,20 +1,35 @@
-"""Templates to text: numbers as people write them, symbols with their meaning, everything else escaped."""
+"""Templates to text: numbers as people write them, symbols with their meaning, everything else escaped.
+
+Also what pages state of their origin: date, versions, and digests of the data.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import platform
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
 from functools import cache
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from ...models.errors import InputError
+from ...models.files import check_format, read_json
 from ..glossary import meaning, pieces
 from ..numbers import number, percent
 from ..report import plain
-from .provenance import now, versions
+
+if TYPE_CHECKING:
+    from ...models.recording import Recording
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
+_DIGITS = 12  # of a digest
 
 
 def render(template: str, context: dict[str, Any]) -> str:
@@ -46,3 +61,39 @@ def evidence(value: float) -> str:
 def sentence(text: str) -> str:
     """Return a text with a capital at its beginning and a full stop at its end."""
     return text[:1].upper() + text[1:].rstrip(".") + "."
+
+
+@contextmanager
+def output_of(path: Path, command: str) -> Iterator[dict[str, Any]]:
+    """Read a JSON file of a command, whose keys and types the block checks. Raises `InputError`: other content."""
+    answer = read_json(path, f"the output of flexspline {command}")
+    check_format(answer, path)
+    try:
+        yield answer
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: expected the output of flexspline {command}, got something else") from error
+
+
+def now() -> str:
+    """Return date and time, as pages state them."""
+    return datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package and of what computes, by name."""
+    packages = {name: metadata.version(name) for name in ("flexspline", "mujoco", "numpy", "scipy")}
+    return packages | {"Python": platform.python_version()}
+
+
+def file_digest(path: Path) -> str:
+    """Return the first digits of a file's SHA-256."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGITS]
+
+
+def fingerprint(recording: Recording) -> str:
+    """Return the first digits of the SHA-256 of a recording's columns: equal for the same data."""
+    digest = hashlib.sha256()
+    for name, values in recording.columns.items():
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(values, "<f8").tobytes())
+    return digest.hexdigest()[:_DIGITS]

@@ -7,10 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..dependence import ORDERS, VARIABLES, explained, means, orders, strongest_variable
 from ..numbers import percent
 from ..report import plain
-from ..residuals import Overlay, ResidualSeries
+from ..residuals import (
+    ORDERS,
+    VARIABLES,
+    Overlay,
+    ResidualSeries,
+    explained,
+    means,
+    orders,
+    strongest_variable,
+)  # fmt: skip
 from .chart import Chart, limits
 
 if TYPE_CHECKING:

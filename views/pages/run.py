@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,7 @@ from ..report import listed
 from ..style import FILTERS
 from ..tables import COLUMNS, RAW_MODEL, doubts, marked, misjudged
 from .chart import Chart, limits
-from .provenance import fingerprint
-from .rendering import render
+from .rendering import fingerprint, render
 from .response_charts import response_context
 
 if TYPE_CHECKING:
@@ -37,7 +36,36 @@ def runs_html(
     """Return the page as text, one file without references to others. `runs`: with their folders, each of another
     scenario; `arm`: folder of an arm's run, if they are its joints; `responses`: frequency response of each, None
     without enough excitation."""
-    return render("run.html.j2", _context(runs, arm, responses or [None] * len(runs)))
+    names = list(dict.fromkeys(name for run, _ in runs for name in run.estimates))
+    named = {run.name if arm is None else folder.name: run for run, folder in runs}
+    kinds, common = line_kinds(names), _common(named, names)
+    means = _means(common.values(), names)
+    closest = [*(name for name, _ in means), *names, "RAREKF"][0]
+    scenarios = [
+        _scenario(name, run, kinds, arm is not None) | {"response": response_context(response)}
+        for (name, run), response in zip(named.items(), responses or [None] * len(runs), strict=True)
+    ]
+    title = " and ".join(run.name for run, _ in runs) if len(runs) < 3 else f"{len(runs)} scenarios"
+    context = {
+        "title": title if arm is None else arm.resolve().name,
+        "arm": arm is not None,
+        "joints": list(dict.fromkeys(run.joint.name for run, _ in runs)),
+        "sentence": _verdict(named, names, "scenarios" if arm is None else "joints"),
+        "scenarios": scenarios,
+        "means": means if len(runs) > 1 else [],
+        "common": len(common),
+        "seeds": sorted({run.scenario.seed for run, _ in runs}),
+        "knowledge": _knowledge(named, arm is not None),
+        "honest": _honest(named),
+        "notes": [(name, note) for name, run in named.items() for note in run.notes],
+        "commands": _commands(*runs[0], closest) if arm is None else _arm_commands(runs, arm),
+        "columns": COLUMNS,
+        "data": [
+            (run.name, len(run.time), run.joint.name, run.scenario.seed, fingerprint(run.as_recording()), str(folder))
+            for run, folder in runs
+        ],
+    }
+    return render("run.html.j2", context)
 
 
 def line_kinds(names: Sequence[str]) -> dict[str, str]:
@@ -47,81 +75,45 @@ def line_kinds(names: Sequence[str]) -> dict[str, str]:
     return own | {name: next(spare) for name in names if name not in own}
 
 
-def _context(
-    runs: Sequence[tuple[Run, Path]], arm: Path | None, responses: Sequence[Response | None]
-) -> dict[str, Any]:
-    names = list(dict.fromkeys(name for run, _ in runs for name in run.estimates))
-    kinds = line_kinds(names)
-    scenarios = [
-        _scenario(run, folder, kinds, arm is not None) | {"response": response_context(response)}
-        for (run, folder), response in zip(runs, responses, strict=True)
-    ]
-    title = " and ".join(run.name for run, _ in runs) if len(runs) < 3 else f"{len(runs)} scenarios"
-    return {
-        "title": title if arm is None else arm.resolve().name,
-        "arm": arm is not None,
-        "joints": list(dict.fromkeys(run.joint.name for run, _ in runs)),
-        "sentence": _verdict(runs, names, "scenarios" if arm is None else "joints"),
-        "scenarios": scenarios,
-        "means": _means(_common(runs, names), names) if len(runs) > 1 else [],
-        "common": len(_common(runs, names)),
-        "seeds": sorted({run.scenario.seed for run, _ in runs}),
-        "knowledge": _knowledge(scenarios, runs, arm is not None),
-        "honest": _honest(scenarios, runs),
-        "notes": [(s["name"], note) for s, (run, _) in zip(scenarios, runs, strict=True) for note in run.notes],
-        "commands": _commands(runs, names) if arm is None else _arm_commands(runs, arm),
-        "columns": COLUMNS,
-        "data": [
-            (run.name, len(run.time), run.joint.name, run.scenario.seed, fingerprint(run.as_recording()), str(folder))
-            for run, folder in runs
-        ],
-    }
-
-
 def _error(run: Run, name: str) -> float:
     value = run.metrics["filters"].get(name, {}).get("rms")
     return float(value) if value is not None else math.nan
 
 
-def _common(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[Run, Path]]:
+def _common(runs: Mapping[str, Run], names: Sequence[str]) -> dict[str, Run]:
     """Runs in which all estimators have an error, if they have one in any run."""
-    there = [name for name in names if any(_error(run, name) > 0 for run, _ in runs)]
-    return [one for one in runs if there and all(_error(one[0], name) > 0 for name in there)]
+    there = [name for name in names if any(_error(run, name) > 0 for run in runs.values())]
+    return {key: run for key, run in runs.items() if there and all(_error(run, name) > 0 for name in there)}
 
 
-def _means(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, float]]:
+def _means(runs: Collection[Run], names: Sequence[str]) -> list[tuple[str, float]]:
     """Geometric mean over the scenarios of each estimator's error [N·m], the smallest first, without untrusted estimators."""
     found = []
     for name in names:
-        errors = np.array([_error(run, name) for run, _ in runs])
-        if any(name in run.metrics["untrusted"] for run, _ in runs):
+        errors = np.array([_error(run, name) for run in runs])
+        if any(name in run.metrics["untrusted"] for run in runs):
             continue
         if len(errors) and np.all(np.isfinite(errors)) and np.all(errors > 0):
             found.append((name, float(np.exp(np.mean(np.log(errors))))))
     return sorted(found, key=lambda one: one[1])
 
 
-def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) -> str:
+def _verdict(runs: Mapping[str, Run], names: Sequence[str], of: str) -> str:
     """The closest estimator in a sentence, over the runs with all estimators, or in each run."""
-
-    def name_of(run: Run, folder: Path) -> str:
-        return folder.name if of == "joints" else run.name
-
     common = _common(runs, names)
     if not common:
-        each = [(name_of(run, folder), _means([(run, folder)], names)) for run, folder in runs]
+        each = [(name, _means([run], names)) for name, run in runs.items()]
         best = [f"in {name} {rank[0][0]} with {number(rank[0][1], 2)} N·m RMS" for name, rank in each if rank]
         if not best:
             return f"No estimator has an error in any of these {of}."
         return f"None of these {of} has all estimators. Closest to the true joint torque is {', '.join(best)}."
-    ranked = _means(common, names)
+    ranked = _means(common.values(), names)
     if not ranked:
         return f"No estimator is to be trusted in all of these {of}."
     (best_name, error), rest = ranked[0], ranked[1:]
     over = f" (geometric mean over {len(common)} {of})" if len(common) > 1 else ""
     if len(common) < len(runs):
-        where = listed([name_of(*one) for one in common])
-        over += f", in {where}: the other {of} lack estimators"
+        over += f", in {listed([*common])}: the other {of} lack estimators"
     text = f"{best_name} is closest to the true joint torque: {number(error, 2)} N·m RMS{over}"
     near = [name for name, other in rest if other < _NEAR * error]
     if near:
@@ -132,12 +124,10 @@ def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) ->
     return f"{text}."
 
 
-def _knowledge(scenarios: Sequence[dict[str, Any]], runs: Sequence[tuple[Run, Path]], arm: bool) -> str:
+def _knowledge(runs: Mapping[str, Run], arm: bool) -> str:
     """Whether the estimators know the simulated joint exactly, and in which of several runs."""
-    exact: list[str] = []
-    other: list[str] = []
-    for s, (run, _) in zip(scenarios, runs, strict=True):
-        (exact if _known_exactly(run, arm) else other).append(s["name"])
+    exact = [name for name, run in runs.items() if _known_exactly(run, arm)]
+    other = [name for name in runs if name not in exact]
     if not other:
         return "The estimators know the simulated joint exactly: expect larger errors on a real joint."
     if not exact:
@@ -158,25 +148,20 @@ def _known_exactly(run: Run, arm: bool) -> bool:
     return same and true.noise == known.noise and mounted and carried
 
 
-def _honest(
-    scenarios: Sequence[dict[str, Any]], runs: Sequence[tuple[Run, Path]]
-) -> dict[str, list[tuple[str, str, float]]]:
+def _honest(runs: Mapping[str, Run]) -> dict[str, list[tuple[str, str, float]]]:
     """Estimators with a wrong variance, by direction: scenario, name, mean NIS."""
     found: dict[str, list[tuple[str, str, float]]] = {}
-    for s, (run, _) in zip(scenarios, runs, strict=True):
+    for scenario, run in runs.items():
         for name, nis in misjudged(run.metrics).items():
-            found.setdefault("more" if nis > 1 else "less", []).append((s["name"], name, nis))
+            found.setdefault("more" if nis > 1 else "less", []).append((scenario, name, nis))
     return found
 
 
-def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, str]]:
-    folder = runs[0][1]
-    place = shlex.quote(folder.as_posix())
-    chosen = next((name for name, _ in _means(_common(runs, names), names)), None) or (names or ["RAREKF"])[0]
-    why = "for this motion"
-    for name, nis in misjudged(runs[0][0].metrics).items():  # the farthest off
-        chosen, why = name, f"for this joint and motion: its mean NIS is {number(nis, 2)}"
-        break
+def _commands(run: Run, folder: Path, chosen: str) -> list[tuple[str, str]]:
+    place, why = shlex.quote(folder.as_posix()), "for this motion"
+    if off := misjudged(run.metrics):
+        chosen, nis = next(iter(off.items()))  # the farthest off
+        why = f"for this joint and motion: its mean NIS is {number(nis, 2)}"
     scenario, own = f"{place}/scenario.yaml", plugins.options()
     return [
         (f"flexspline view {place}{own}", "shows the joint in motion, estimates and innovations"),
@@ -196,13 +181,14 @@ def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str
     ]  # fmt: skip
 
 
-def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dict[str, Any]:
+def _scenario(name: str, run: Run, kinds: dict[str, str], joint: bool) -> dict[str, Any]:
     metrics = run.metrics
     entries = {RAW_MODEL: metrics["model"]} if metrics.get("model") else {}
     rows = []
-    for name, values in (entries | dict(metrics["filters"])).items():
-        rows.append((marked(name, metrics), kinds.get(name, "measured"), [column.text(values) for column in COLUMNS]))
-    doubted = {RAW_MODEL, *(marked(name, metrics) for name in metrics["untrusted"])}
+    for filter_, values in (entries | dict(metrics["filters"])).items():
+        cells = [column.text(values) for column in COLUMNS]
+        rows.append((marked(filter_, metrics), kinds.get(filter_, "measured"), cells))
+    doubted = {RAW_MODEL, *(marked(n, metrics) for n in metrics["untrusted"])}
     own = [row for row in rows if row[0] not in doubted]
     best = {
         k: min(own, key=lambda row: float(row[2][k]))[0]
@@ -210,22 +196,20 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
         if column.key in ("rms", "max", "noise_ratio") and all(row[2][k] != "–" for row in own) and len(own) > 1
     }
     return {
-        "name": folder.name if joint else run.name,
+        "name": name,
         "description": "" if joint else run.scenario.description,
         "span": _span(run),
         "joint": run.joint.name,
         "duration": run.scenario.duration,
         "seed": run.scenario.seed,
-        "folder": str(folder),
         "rows": rows,
-        "doubts": doubts({folder.name if joint else run.name: metrics}),
+        "doubts": doubts({name: metrics}),
         "best": best,
         "legend": [
             ("after", "true"),
             ("measured", "torque sensor"),
             *((kinds[n], marked(n, metrics)) for n in run.estimates),
         ],
-        "motion": [("after", "true"), ("measured", "measured"), ("backward", "external")],
         "charts": _charts(run, kinds),
     }
 

@@ -51,12 +51,10 @@ def sweep_html(
     listed = isinstance(study.seeds, list)
     more = "" if listed else f" --seeds {2 * max(s.runs for s in found)}"
     context = {
-        "name": study.name,
-        "description": study.description,
+        "study": study,
         "sentence": _verdict(study, found),
         "best": _best(study, found),
         "against": _against(study, found),
-        "reference": study.compared_to,
         "runs": sorted({s.runs for s in found}),
         "rows": len(found),
         "failed": [(s.filter, s.scenario, s.failed, s.runs) for s in found if s.failed],
@@ -67,7 +65,6 @@ def sweep_html(
         "charts": _charts(study, found, metric, kinds),
         "tables": [_table(study, found, m) for m in study.metrics],
         "axes": [titles.get(name, name) for name in found[0].columns],
-        "filters": study.names,
         "commands": [
             f"flexspline sweep {shlex.quote(source or f'{study.name}.yaml')}{more} --out {place}{plugins.options()}"
         ],
@@ -117,7 +114,7 @@ def _table(study: Study, found: Sequence[Aggregate], metric: str) -> dict[str, A
     rows = []
     for scenario, columns, of in sweep_rows(found):
         at = [value_text(columns[axis]) for axis in found[0].columns]
-        cells = [(cell(of.get(name), metric, column), sign_of(of.get(name), metric)) for name in study.names]
+        cells = [(cell(of.get(name), metric), sign_of(of.get(name), metric)) for name in study.names]
         rows.append((scenario, at, cells))
     return {"title": column.title, "meaning": column.meaning, "rows": rows}
 

@@ -11,15 +11,13 @@ from typing import Any
 from ...models import causes, plugins
 from ...models.calibration import slots
 from ...models.errors import InputError
-from ...models.files import check_format, read_json
 from ...models.joint import Joint, load_joint
 from ...models.joint_parts import Number
 from ...models.parameters import short_way
 from ..glossary import meaning
-from ..numbers import number, with_std
+from ..numbers import with_std
 from ..report import listed, plain
-from .provenance import file_digest
-from .rendering import render
+from .rendering import file_digest, output_of, render
 
 _DELAYS = ("current_delay", "torque_sensor_delay")
 """Delays of sensors that a diagnosis finds, by their names in its answer."""
@@ -42,6 +40,11 @@ class Diagnosed:
             for cause in self.answer["causes"]
         }
 
+    @property
+    def estimators(self) -> dict[str, dict[str, Any]]:
+        """Torque errors [N·m] by estimator, before and after the extension of the joint; empty if there are none."""
+        return (self.answer.get("estimation") or {}).get("estimators", {})
+
 
 @dataclass(frozen=True)
 class NumberChange:
@@ -62,13 +65,8 @@ class NumberChange:
 
 def read_diagnosis(folder: Path) -> Diagnosed:
     """Read a diagnosis from its folder. Raises `InputError`: a folder without a diagnosis."""
-    path = folder / "diagnosis.json"
-    answer = read_json(path, "a diagnosis")
-    check_format(answer, path)
-    try:
+    with output_of(folder / "diagnosis.json", "diagnose") as answer:
         _check(answer)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: expected the output of flexspline diagnose, got something else") from error
     return Diagnosed(folder, answer, load_joint(str(folder / "joint.yaml")))
 
 
@@ -140,8 +138,8 @@ def two_html(before: Diagnosed, after: Diagnosed) -> str:
         "numbers": numbers,
         "moved": moved,
         "chance": 0.0027 * len(numbers),
-        "residuals": _residuals(before, after),
-        "errors": _errors(before, after),
+        "residuals": _both(before.answer["residual"], after.answer["residual"]),
+        "errors": _both(before.estimators, after.estimators),
         "commands": [
             f"flexspline validate NEW_MEASUREMENT --joint {place}/joint.yaml --out check{plugins.options()}",
             f"flexspline plan {place}",
@@ -221,25 +219,6 @@ def _parameters(a: dict[str, Any], b: dict[str, Any]) -> list[NumberChange]:
     return found
 
 
-def _cell(value: float | None) -> str:
-    return "–" if value is None else number(value, 3)
-
-
-def _residuals(before: Diagnosed, after: Diagnosed) -> list[tuple[str, str, list[str]]]:
-    """By channel: simulation error before and after the extension of the joint, in both measurements."""
-    later = after.answer["residual"]
-    return [
-        (plain(name), a["unit"], [_cell(x[key]) for x in (a, later[name]) for key in ("before", "after", "noise")])
-        for name, a in before.answer["residual"].items()
-        if name in later
-    ]
-
-
-def _errors(before: Diagnosed, after: Diagnosed) -> list[tuple[str, list[str]]]:
-    """By estimator: torque error before and after the extension of the joint [N·m], in both measurements."""
-    earlier, later = ((d.answer.get("estimation") or {}).get("estimators", {}) for d in (before, after))
-    return [
-        (name, [_cell(x[key]) for x in (a, later[name]) for key in ("before", "after")])
-        for name, a in earlier.items()
-        if name in later
-    ]
+def _both(before: dict[str, Any], after: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Name and both errors of what both diagnoses have."""
+    return [(name, error, after[name]) for name, error in before.items() if name in after]

@@ -12,20 +12,19 @@ import numpy as np
 
 from ...models import plugins
 from ...models.errors import InputError
-from ...models.files import check_format, read_json
 from ...models.joint_parts import beyond_sentence
 from ...models.recording import LARGEST
 from ...models.tables import read_table
 from ..numbers import number, percent
 from ..report import listed, plain
 from .chart import Chart, limits
-from .provenance import file_digest
-from .rendering import render
+from .rendering import file_digest, output_of, render
 from .residual_charts import Group
 
 HELD = 0.9  # A description holds for a channel if this share of the samples in motion is inside the 95 % band
 _CLEARLY = 2.0
 """An error of more than so many times the sensors' noise has a cause that could be found, also inside the band."""
+_WIDTH = 540
 _WORSE = 1.3  # A region with more than so many times the error of all motion is reported as the worst
 
 
@@ -42,10 +41,7 @@ class Validated:
 
 def read_validation(folder: Path) -> Validated:
     """Read a validation from its folder. Raises `InputError`: a folder without a validation, or with other tables."""
-    path = folder / "validation.json"
-    answer = read_json(path, "a validation")
-    check_format(answer, path)
-    try:
+    with output_of(folder / "validation.json", "validate") as answer:
         for e in answer["residual"].values():
             e |= {key: float(e[key]) for key in ("rms", "mean", "noise", "inside")} | {"samples": int(e["samples"])}
             e["unit"]
@@ -55,8 +51,6 @@ def read_validation(folder: Path) -> Validated:
             region["by"], region["unit"]
         answer["joint"], dict(answer["beyond"]), [m["description"] for m in answer["mistakes"]]
         names = [str(name) for name in answer["recordings"]]
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path}: expected the output of flexspline validate, got something else") from error
     tables = {name: read_table(folder / f"{name}.parquet")[0] for name in names}
     for name, columns in tables.items():
         wanted = {f"{channel}{end}" for channel in _channels(columns) for end in _ENDS}
@@ -86,17 +80,14 @@ def _channels(columns: Mapping[str, np.ndarray]) -> list[str]:
 def validation_html(found: Validated) -> str:
     """Return the page as text: one file without references to others."""
     answer = found.answer
-    beyond = beyond_sentence(answer["beyond"])
     context = {
         "joint": answer["joint"],
-        "holds": _holds(answer),
         "sentence": _verdict(answer),
-        "channels": [(plain(name), e, _worst(answer, name)) for name, e in answer["residual"].items()],
-        "names": [(plain(name), e["unit"]) for name, e in answer["residual"].items()],
+        "channels": [(name, e, _worst(answer, name)) for name, e in answer["residual"].items()],
         "mistakes": [_mistake(m) for m in answer["mistakes"]],
         "fixed": answer.get("fixed", []),
-        "beyond": beyond,
-        "regions": _regions(answer),
+        "beyond": beyond_sentence(answer["beyond"]),
+        "regions": answer["regions"],
         "commands": _commands(found),
         "groups": charts_of(found),
         "folder": str(found.folder),
@@ -161,22 +152,7 @@ def _worst(answer: dict[str, Any], channel: str) -> dict[str, Any] | None:
     most = max(regions, key=lambda r: float(r["rms"][channel]), default=None)
     if most is None or most["rms"][channel] < _WORSE * answer["residual"][channel]["rms"]:
         return None
-    return {"where": _where(most), "rms": most["rms"][channel]}
-
-
-def _where(region: dict[str, Any]) -> str:
-    if region["by"] == "direction":
-        return "moving backward" if region["to"] <= 0 else "moving forward"
-    low, high, unit = number(region["from"], 2), number(region["to"], 2), region["unit"]
-    return f"{region['by']} {low} to {high} {unit}"
-
-
-def _regions(answer: dict[str, Any]) -> list[tuple[str, bool, list[str]]]:
-    """Every region: its name, whether most of it is outside the range of validity, and the error of each channel."""
-    return [
-        (_where(r), r["beyond"] > 0.5, [number(r["rms"][c], 3) if c in r["rms"] else "–" for c in answer["residual"]])
-        for r in answer["regions"]
-    ]
+    return most
 
 
 def _commands(found: Validated) -> list[tuple[str, str]]:
@@ -210,25 +186,16 @@ def charts_of(found: Validated) -> list[Group]:
         off, band = (float(np.percentile(abs(x), 99.5)) if len(x) else 0.0 for x in finite)
         reach = 1.3 * max(off, min(band, 4 * off))  # of a wide band, only the middle is shown
         y = (-reach, reach) if reach > 0 else (-1.0, 1.0)
-        charts = [_chart(name, c, channel, error, y, left[name], half[name]) for name, c in of.items()]
+        charts = []
+        for name, columns in of.items():
+            time, curves = columns["time"], (columns[channel], columns[f"{channel}_simulated"])
+            x, unit = (float(time[0]), float(time[-1])), error["unit"]
+            values = Chart(x, limits(np.concatenate(curves), 0.05), name, ylabel=unit, width=_WIDTH, height=190)
+            values.line(time, curves[0], "measured broad")
+            values.line(time, curves[1], "after")
+            below = Chart(x, y, "measured − simulated", "time [s]", unit, width=_WIDTH, height=170)
+            below.between(time, -half[name], half[name], "noise")
+            below.line(time, left[name], "before thin")
+            charts.append([values, below])
         groups.append(Group(channel, error["unit"], charts))
     return groups
-
-
-def _chart(
-    name: str, columns: Mapping[str, np.ndarray], channel: str, error: dict[str, Any], y: tuple[float, float],
-    left: np.ndarray, half: np.ndarray,
-) -> list[Chart]:  # fmt: skip
-    time, unit = columns["time"], error["unit"]
-    curves = columns[channel], columns[f"{channel}_simulated"]
-    x = (float(time[0]), float(time[-1]))
-    values = Chart(x, limits(np.concatenate(curves), 0.05), name, ylabel=unit, width=_WIDTH, height=190)
-    values.line(time, curves[0], "measured broad")
-    values.line(time, curves[1], "after")
-    below = Chart(x, y, "measured − simulated", "time [s]", unit, width=_WIDTH, height=170)
-    below.between(time, -half, half, "noise")
-    below.line(time, left, "before thin")
-    return [values, below]
-
-
-_WIDTH = 540

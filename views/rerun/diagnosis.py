@@ -14,8 +14,7 @@ from ...sim.shape import shape
 from ..report import Report, markdown, plain
 from ..residuals import Overlay, overlays
 from ..style import SENSOR, TRUTH
-from .blueprint import joint_view
-from .recording import TIMELINE, entity, layout, recording, send_series, series_view
+from .recording import TIMELINE, entity, joint_view, layout, recording, send_series, series_view
 from .scene import reach, send_bodies, send_torques, thin_frames
 
 if TYPE_CHECKING:
@@ -59,11 +58,11 @@ def _path(o: Overlay) -> str:
 def send_channel(stream: rr.RecordingStream, o: Overlay) -> None:
     """Send measured and simulated values of a channel, if it is measured, and their differences."""
     if o.measured is not None:
-        send_series(stream, f"{_path(o)}/values/measured", o.time, o.measured, "measured", SENSOR)
+        send_series(stream, o.time, f"{_path(o)}/values/measured", o.measured, "measured", SENSOR)
     for label, left, color in (("simulated", o.before, BEFORE), ("extended", o.after, AFTER)):
         if o.measured is not None:
-            send_series(stream, f"{_path(o)}/values/{label}", o.time, o.measured - left, label, color)
-        send_series(stream, f"{_path(o)}/residual/{label}", o.time, left, label, color)
+            send_series(stream, o.time, f"{_path(o)}/values/{label}", o.measured - left, label, color)
+        send_series(stream, o.time, f"{_path(o)}/residual/{label}", left, label, color)
 
 
 def _panel(r: Recording, found: Sequence[Overlay], far: float, notes: rrb.View) -> rrb.Container:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from ...sim.shape import shape
 from ..style import FILTERS, SPARE, TRUTH
-from .blueprint import joint_view
-from .recording import TIMELINE, entity, layout, recording, send_series, series_view
-from .scene import reach, send_bodies, send_torques, thin_frames
+from .recording import entity, joint_view, layout, recording, send_series, series_view
+from .scene import reach, send_scene
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -29,20 +27,14 @@ def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
     with recording(path, "several runs", layout(_panels(runs, max(map(reach, models))), end)) as stream:
         for i, ((name, run), model) in enumerate(zip(runs, models, strict=True)):
             color, place = COLORS[i % len(COLORS)], _place(i)
-            time, truth = run.time, run.truth("joint_torque")
-            send_series(stream, f"torque/{place}", time, truth, name, color)
+            series, truth = partial(send_series, stream, run.time, name=name, color=color), run.truth("joint_torque")
+            series(f"torque/{place}", truth)
             for label, found in run.estimates.items():
-                send_series(stream, f"error/{entity(label)}/{place}", time, found.mean - truth, name, color)
+                series(f"error/{entity(label)}/{place}", found.mean - truth)
             if run.position_command is not None:
-                send_series(stream, f"position_error/{place}", time, -1e3 * run.command_error, name, color)
-            send_series(stream, f"current/{place}", time, run.reading("motor_current"), name, color)
-            frames = thin_frames(time)
-            columns = [rr.TimeColumn(TIMELINE, duration=time[frames])]
-            angles = ("motor_position", "wave_generator_position", "link_position")
-            motion = np.column_stack([run.truth(angle)[frames] for angle in angles])
-            bare = run.scenario.mount(run.joint).gravity_moment == 0
-            send_bodies(stream, f"scene/{place}", columns, motion, model, bare)
-            send_torques(stream, f"scene/{place}", columns, {"true": (truth[frames], TRUTH)}, model)
+                series(f"position_error/{place}", -1e3 * run.command_error)
+            series(f"current/{place}", run.reading("motor_current"))
+            send_scene(stream, f"scene/{place}", run, model, {"true": (truth, TRUTH)})
     return Path(path)
 
 

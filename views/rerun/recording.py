@@ -50,8 +50,8 @@ def recording(path: Path, name: str, blueprint: rrb.Blueprint | None = None) -> 
 
 def send_series(
     stream: rr.RecordingStream,
-    path: str,
     time: np.ndarray,
+    path: str,
     values: np.ndarray,
     name: str,
     color: str,
@@ -83,6 +83,21 @@ def series_view(
         axis_x=SHARED_TIME,
         axis_y=rrb.ScalarAxis(range=limits) if limits else None,
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop, visible=legend),
+    )
+
+
+def joint_view(name: str, origin: str, reach: float) -> rrb.Spatial3DView:
+    """Return a view of the joint in 3D from the front; `reach` of its link [m]."""
+    return rrb.Spatial3DView(
+        name=name,
+        origin=origin,
+        background=[28, 31, 36],
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            position=(1.35 * reach, -2.3 * reach, 0.6 * reach),
+            look_target=(0.2 * reach, 0.0, 0.0),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
     )
 
 

@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from ...sim.shape import shape
-from ..posteriors import SHARE_WINDOW, innovations, modes, switching
-from ..series import share
-from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors
+from ..posteriors import SHARE_WINDOW, innovations, modes, robust_shares, settled, switching
+from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors, main_filter
 from ..tables import comparison_markdown
-from .blueprint import run_blueprint
-from .recording import POINTS, TIMELINE, is_new, recording, rgb, send_series
+from .recording import (
+    POINTS,
+    SHARED_TIME,
+    TIMELINE,
+    is_new,
+    joint_view,
+    layout,
+    recording,
+    rgb,
+    send_series,
+    series_view,
+)  # fmt: skip
 from .scene import reach, send_scene
 
 if TYPE_CHECKING:
-    import mujoco
-
     from ...scenarios.run import Run
 
 MODE_WINDOW = 0.02  # window [s] of the mode lanes: robust if the filter is in robust mode for at least half of it
@@ -43,51 +52,98 @@ class RunRecording:
         self.run, self._stream, self._model = run, stream, shape(run.joint)
         self._colors = filter_colors(run.estimates)
         self._pushed = bool(np.any(run.external_torque))
-        self._visible = set(run.estimates) - always_robust(run)
-        self._shares = {name: share_of(modes(run, name), run.time) for name in switching(run)}
-        samples = window_samples(MODE_WINDOW, run.time)
-        self._windows = {name: windows(run.time, modes(run, name), samples) for name in self._shares}
-        stream.send_blueprint(run_blueprint(run, reach(self._model), live))
+        # Series are drawn in the order of their paths: a filter that is always robust would hide the paper's three.
+        self._hidden = {n for n, one in run.estimates.items() if one.robust is not None and one.robust[1:].all()}
+        self._shares = {name: robust_shares(run, name) for name in switching(run)}
+        self._windows = {name: windows(run, name) for name in self._shares}
+        stream.send_blueprint(_blueprint(run, reach(self._model), live))
         stream.send_recording_name(run.name)
-        send_notes(stream, asked(run))
+        self._send_notes(_asked(run))
 
     def send(self, ticks: slice) -> None:
-        """Send the next ticks, two at least."""
-        part = self.run.part(ticks)
-        points = max(round(POINTS * len(part.time) / len(self.run.time)), 2)
-        send_run(self._stream, part, self._model, self._colors, self._pushed, points, self._visible)
+        """Send the next ticks, two at least: joint, torques, innovations, torsion, motion, modes."""
+        run = self.run.part(ticks)
+        points = max(round(POINTS * len(run.time) / len(self.run.time)), 2)
+        main = main_filter(self._colors)
+        torques = {"true": (run.truth("joint_torque"), TRUTH), main: (run.estimate(main), self._colors[main])}
+        send_scene(self._stream, "scene", run, self._model, torques, self._pushed)
+        plain = partial(send_series, self._stream, run.time, points=points)
+        series = partial(plain, keep=_interesting(run))
+        self._send_torques(run, series)
+        _send_torsion(run, series)
+        _send_motion(run, plain)
         for name, percent in self._shares.items():
             color, (start, robust) = self._colors[name], self._windows[name]
-            send_series(
-                self._stream, f"robust_share/{name}", part.time, percent[ticks], name, color, points=max(points // 4, 2)
-            )
-            first, end = np.searchsorted(start, [part.time[0], part.time[-1] + 1e-9])
-            send_mode(
-                self._stream, name, start[first:end], robust[first:end], color, robust[first - 1] if first else None
-            )
+            plain(f"robust_share/{name}", percent[ticks], name, color, points=max(points // 4, 2))
+            first, end = np.searchsorted(start, [run.time[0], run.time[-1] + 1e-9])
+            before = robust[first - 1] if first else None
+            send_mode(self._stream, name, start[first:end], robust[first:end], color, before)
 
     def finish(self) -> None:
         """Send the results."""
-        send_notes(self._stream, notes(self.run))
+        self._send_notes(_notes(self.run))
+
+    def _send_notes(self, text: str) -> None:
+        notes = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        self._stream.log("notes", notes, static=True, strict=True)
+
+    def _send_torques(self, run: Run, series: Callable[..., None]) -> None:
+        """Send torques, and the filters' estimates, errors and innovations."""
+        truth, found = run.truth("joint_torque"), innovations(run)
+        series("torque/sensor", run.reading("joint_torque"), "torque sensor", SENSOR, 1.0)
+        series("torque/model", run.model_torque, "raw model", MODEL, visible=False)
+        series("torque/truth", truth, "truth", TRUTH, 1.0)
+        series("external_torque", run.external_torque, "external torque on the link", EXTERNAL)
+        for name, color in self._colors.items():
+            estimate, visible = run.estimate(name), name not in self._hidden
+            series(f"torque/{name}", estimate, name, color, 2.5, visible=visible)
+            series(f"error/{name}", estimate - truth, name, color, visible=visible)
+            if name in found:
+                place, deviation = f"innovation/{name}", found[name].deviation
+                series(f"{place}/innovation", found[name].values, "innovation", color, 1.0)
+                series(f"{place}/upper", deviation, "+√P_Y", SENSOR)
+                series(f"{place}/lower", -deviation, "−√P_Y", SENSOR)
 
 
-def send_run(
-    stream: rr.RecordingStream,
-    run: Run,
-    model: mujoco.MjModel,
-    colors: Mapping[str, str],
-    pushed: bool,
-    points: int,
-    visible: Collection[str],
-) -> None:
-    """Send a run or a stretch of it: scene, torques, innovations, torsion, motion. `model`: the joint's shape;
-    `colors`: of the filters, by name; `pushed`: whether there is an external torque; `visible`: of `_send_estimates`."""
-    near = _interesting(run)
-    send_scene(stream, run, model, colors, pushed)
-    _send_torques(stream, run, near, points)
-    _send_estimates(stream, run, colors, points, visible)
-    _send_torsion(stream, run, near, points)
-    _send_motion(stream, run, points)
+def _blueprint(run: Run, far: float, live: bool) -> rrb.Blueprint:
+    """Return the layout of a run; `far`: reach of the link [m], for the camera; `live`: the cursor follows the data."""
+    names, stated, pushed = list(run.estimates), tuple(innovations(run)), bool(np.any(run.external_torque))
+    main = main_filter(names)
+    # 1.5 times the main filter's largest error after the transient [N·m]
+    limit = 1.5 * float(np.abs((run.estimate(main) - run.truth("joint_torque"))[settled(run)]).max())
+    joint = joint_view("Joint: torque true (green), estimated, external (pink)", "scene", far)
+    # All panels have the same colours: one legend is enough.
+    innovation_views = [
+        series_view(f"Innovation {name} [N·m]" if name == main else name, f"innovation/{name}", legend=False)
+        for name in (main, *(name for name in names if name != main))
+        if name in stated
+    ]
+    behind: list[rrb.View | rrb.Container] = [
+        *([rrb.Tabs(contents=innovation_views, name="Innovation")] if innovation_views else []),
+        series_view("Torsion and its parts [mrad]", "torsion"),
+        *([series_view("External torque [N·m]", "external_torque", legend=False)] if pushed else []),
+        rrb.Tabs(
+            series_view("Position error [mrad]", "position_error", legend=False),
+            series_view("Position [°]", "position"),
+            series_view("Motor current [A]", "current"),
+            name="Motion",
+        ),
+    ]
+    estimates: list[rrb.View] = [
+        series_view("Joint torque [N·m]", "torque"),
+        series_view("Estimate − truth [N·m]", "error", legend=False, limits=(-limit, limit)),
+        series_view(f"Robust mode [% of {SHARE_WINDOW:g} s]", "robust_share", legend=False, limits=(-5, 105)),
+        rrb.StateTimelineView(name="Mode", origin="mode", time_view=SHARED_TIME),
+    ]
+    panels = rrb.Horizontal(
+        rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
+        rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
+        rrb.Vertical(
+            contents=behind, row_shares=[*([2] if innovation_views else []), 2.2, *([1.2] if pushed else []), 1.6]
+        ),
+        column_shares=[1.05, 1.4, 1.25],
+    )
+    return layout(panels, float(run.time[-1]), live)
 
 
 def _interesting(run: Run) -> np.ndarray:
@@ -101,58 +157,11 @@ def _interesting(run: Run) -> np.ndarray:
     return near
 
 
-def _send_torques(stream: rr.RecordingStream, run: Run, near: np.ndarray, points: int) -> None:
-    def send(path: str, values: np.ndarray, name: str, color: str, width: float = 1.5, visible: bool = True) -> None:
-        send_series(stream, path, run.time, values, name, color, width, near, points, visible)
-
-    send("torque/sensor", run.reading("joint_torque"), "torque sensor", SENSOR, 1.0)
-    send("torque/model", run.model_torque, "raw model", MODEL, visible=False)
-    send("torque/truth", run.truth("joint_torque"), "truth", TRUTH, 1.0)
-    send("external_torque", run.external_torque, "external torque on the link", EXTERNAL)
-
-
-def _send_estimates(
-    stream: rr.RecordingStream, run: Run, colors: Mapping[str, str], points: int, visible: Collection[str]
-) -> None:
-    """Send the estimates of the filters in `colors`, their errors and innovations; `visible`: filters that are shown at
-    first."""
-    near, truth = _interesting(run), run.truth("joint_torque")
-    found = innovations(run)
-    for name, color in colors.items():
-        values = run.estimate(name)
-        shown = name in visible
-        send_series(stream, f"torque/{name}", run.time, values, name, color, 2.5, near, points, shown)
-        send_series(stream, f"error/{name}", run.time, values - truth, name, color, 1.5, near, points, shown)
-        if name in found:
-            place, deviation = f"innovation/{name}", found[name].deviation
-            innovation = found[name].values
-            send_series(stream, f"{place}/innovation", run.time, innovation, "innovation", color, 1.0, near, points)
-            for sign, label in ((1, "+√P_Y"), (-1, "−√P_Y")):
-                part = "upper" if sign > 0 else "lower"
-                limit = sign * deviation
-                send_series(stream, f"{place}/{part}", run.time, limit, label, SENSOR, 1.5, near, points)
-
-
-def always_robust(run: Run) -> set[str]:
-    """Return the filters that are always in robust mode from the second sample on. Series are drawn in the order of
-    their paths: such a filter would hide the paper's three."""
-    return {name for name, one in run.estimates.items() if one.robust is not None and one.robust[1:].all()}
-
-
-def share_of(robust: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the moving share of robust mode [%], shape (n,)."""
-    return 100 * share(robust, window_samples(SHARE_WINDOW, time))
-
-
-def window_samples(window: float, time: np.ndarray) -> int:
-    """Return the number of samples of a window [s], at least one."""
-    return max(round(window / float(time[1] - time[0])), 1)
-
-
-def windows(time: np.ndarray, robust: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the starts [s] of windows, and whether the majority of each is robust."""
-    start = np.arange(0, len(robust), samples)
-    return time[start], np.add.reduceat(robust.astype(int), start) * 2 >= np.diff(np.append(start, len(robust)))
+def windows(run: Run, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the starts [s] of windows of `MODE_WINDOW`, and whether a filter is robust in the majority of each."""
+    robust, period = modes(run, name), float(run.time[1] - run.time[0])
+    start = np.arange(0, len(robust), max(round(MODE_WINDOW / period), 1))
+    return run.time[start], np.add.reduceat(robust.astype(int), start) * 2 >= np.diff(np.append(start, len(robust)))
 
 
 def send_mode(
@@ -174,44 +183,29 @@ def send_mode(
     stream.send_columns(path, [at], rr.StateChange.columns(state=states), strict=True)
 
 
-def _send_torsion(stream: rr.RecordingStream, run: Run, near: np.ndarray, points: int) -> None:
+def _send_torsion(run: Run, series: Callable[..., None]) -> None:
     """Eq. (1) on the true state: Δθ = Δθf + Δθw/N + θerr."""
     N = run.joint.numbers["N"].value
     rotor, wave, link = (run.truth(f"{name}_position") for name in ("motor", "wave_generator", "link"))
     total = rotor / N - link
     generator = (rotor - wave) / N
-    parts = {
-        "total": ("Δθ, total", total, 2.5),
-        "flexspline": ("Δθf, flexspline", total - generator - run.kinematic_error, 1.5),
-        "wave_generator": ("Δθw/N, wave generator", generator, 1.5),
-        "kinematic_error": ("θerr, kinematic error", run.kinematic_error, 1.5),
-    }
-    for part, (name, values, width) in parts.items():
-        send_series(stream, f"torsion/{part}", run.time, 1e3 * values, name, PARTS[part], width, near, points)
+    flexspline = total - generator - run.kinematic_error
+    series("torsion/total", 1e3 * total, "Δθ, total", PARTS["total"], 2.5)
+    series("torsion/flexspline", 1e3 * flexspline, "Δθf, flexspline", PARTS["flexspline"])
+    series("torsion/wave_generator", 1e3 * generator, "Δθw/N, wave generator", PARTS["wave_generator"])
+    series("torsion/kinematic_error", 1e3 * run.kinematic_error, "θerr, kinematic error", PARTS["kinematic_error"])
 
 
-def _send_motion(stream: rr.RecordingStream, run: Run, points: int) -> None:
-    link = run.truth("link_position")
-    send = [
-        ("position/link", np.degrees(link), "link", TRUTH),
-        ("current/read", run.reading("motor_current"), "read", SENSOR),
-        ("current/true", run.truth("motor_current"), "true", TRUTH),
-    ]
+def _send_motion(run: Run, series: Callable[..., None]) -> None:
+    series("position/link", np.degrees(run.truth("link_position")), "link", TRUTH)
+    series("current/read", run.reading("motor_current"), "read", SENSOR)
+    series("current/true", run.truth("motor_current"), "true", TRUTH)
     if run.position_command is not None:
-        send += [
-            ("position/command", np.degrees(run.position_command), "command", COMMAND),
-            ("position_error", 1e3 * run.command_error, "command − link", TRUTH),
-        ]
-    for path, values, name, color in send:
-        send_series(stream, path, run.time, values, name, color, points=points)
+        series("position/command", np.degrees(run.position_command), "command", COMMAND)
+        series("position_error", 1e3 * run.command_error, "command − link", TRUTH)
 
 
-def send_notes(stream: rr.RecordingStream, text: str) -> None:
-    """Send Markdown to the panel of notes."""
-    stream.log("notes", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
-
-
-def asked(run: Run) -> str:
+def _asked(run: Run) -> str:
     """Return the scenario as Markdown."""
     scenario = run.scenario
     mounting = scenario.mounting or run.joint.mounting
@@ -227,9 +221,9 @@ def asked(run: Run) -> str:
     return "\n".join(lines)
 
 
-def notes(run: Run) -> str:
+def _notes(run: Run) -> str:
     """Return the scenario and the results as Markdown."""
-    lines = [asked(run), *(f"* {note}" for note in run.notes)]
+    lines = [_asked(run), *(f"* {note}" for note in run.notes)]
     if run.metrics.get("filters"):
         table = comparison_markdown({run.name: run.metrics}, keys=("rms", "max", "robust_share"))
         lines += ["", "Errors against the noise-free joint torque:", "", table]

@@ -1,22 +1,25 @@
-"""The joint in 3D: bodies in motion, and torques."""
+"""The joint in 3D: bodies in motion, torques as arrows around the joint's axis, pushes as forces at the link's tip."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 import rerun as rr
 
-from ..style import TRUTH, main_filter
-from .arrows import send_arc, send_push
-from .recording import TIMELINE, is_new
+from ..style import EXTERNAL
+from .recording import TIMELINE, is_new, rgb
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 FRAME_RATE = 50.0  # poses of the 3D scene per second
+DEGREES_PER_TORQUE = 12.0  # length of the torque arrows around the axis [°/(N·m)]
+FORCE_SCALE = 0.012  # length of the arrow of the external force at the link's tip [m/N]
+_LARGEST_ARC = 300.0  # °
+_ARC_POINTS = 25
 
 
 def reach(model: mujoco.MjModel) -> float:
@@ -26,22 +29,25 @@ def reach(model: mujoco.MjModel) -> float:
 
 
 def send_scene(
-    stream: rr.RecordingStream, run: Run, model: mujoco.MjModel, colors: Mapping[str, str], pushed: bool
+    stream: rr.RecordingStream,
+    place: str,
+    run: Run,
+    model: mujoco.MjModel,
+    torques: Mapping[str, tuple[np.ndarray, str]],
+    pushed: bool = False,
 ) -> None:
-    """Send the joint's bodies with the motion of a run or a stretch of one, and its torques as arrows; `pushed`:
-    whether there is an external torque."""
+    """Send the joint's bodies with the motion of a run or a stretch of one, and torques, as of `send_torques` but of all
+    samples; `pushed`: whether there is an external torque."""
     frames = thin_frames(run.time)
     if not len(frames):
         return
     time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
     angles = np.column_stack([run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")])
     bare = run.scenario.mount(run.joint).gravity_moment == 0
-    tips = send_bodies(stream, "scene", time, angles, model, bare)
-    main = main_filter(colors)
-    torques = {"true": (run.truth("joint_torque")[frames], TRUTH), main: (run.estimate(main)[frames], colors[main])}
-    send_torques(stream, "scene", time, torques, model)
+    tips = send_bodies(stream, place, time, angles, model, bare)
+    send_torques(stream, place, time, {name: (x[frames], color) for name, (x, color) in torques.items()}, model)
     if tips is not None and pushed:
-        send_push(stream, time, run.external_torque[frames], tips, _axis(model))
+        _send_push(stream, f"{place}/external", time, run.external_torque[frames], tips, _axis(model))
 
 
 def send_bodies(
@@ -76,12 +82,45 @@ def send_torques(
     model: mujoco.MjModel,
 ) -> None:
     """Send torques [N·m], shape (f,) each, by name with their colours, as curved arrows around the axis with increasing
-    radius, at `torque_<name>` below an entity path."""
-    axis = _axis(model)
-    radius = 2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1
-    front = _front(model, axis)
+    radius, at `torque_<name>` below an entity path. The axis is right-handed, and an arrow begins above it."""
+    axis, up = _axis(model), np.array([0.0, 0.0, 1.0])
+    side, front = np.cross(axis, up), _front(model, axis) * axis
     for i, (name, (torque, color)) in enumerate(torques.items()):
-        send_arc(stream, f"{place}/torque_{name}", time, torque, (1 + 0.16 * i) * radius, front, axis, color)
+        radius = (1 + 0.16 * i) * (2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1)
+        swept = np.radians(np.clip(DEGREES_PER_TORQUE * torque, -_LARGEST_ARC, _LARGEST_ARC))
+        head = np.sign(swept) * np.minimum(np.abs(swept), 0.22)
+        angles = np.column_stack([np.linspace(0, 1, _ARC_POINTS) * (swept - head)[:, None], swept])[..., None]
+        arcs = radius * (np.cos(angles) * up + np.sin(angles) * side) + front  # (f, points, 3)
+        path = f"{place}/torque_{name}"
+        point = f"{path}/head"
+        if is_new(stream, path, color):
+            stream.log(path, rr.LineStrips3D.from_fields(colors=[rgb(color)], radii=[0.003]), static=True, strict=True)
+            stream.log(point, rr.Arrows3D.from_fields(colors=[rgb(color)], radii=[0.007]), static=True, strict=True)
+        strips = arcs[:, :-1].astype(np.float32)  # one array, not one object per frame
+        stream.send_columns(path, time, rr.LineStrips3D.columns(strips=strips), strict=True)
+        begin, end = arcs[:, -2], arcs[:, -1]
+        arrows = rr.Arrows3D.columns(origins=begin.astype(np.float32), vectors=(end - begin).astype(np.float32))
+        stream.send_columns(point, time, arrows, strict=True)
+
+
+def _send_push(
+    stream: rr.RecordingStream,
+    path: str,
+    time: list[rr.TimeColumn],
+    torque: np.ndarray,
+    tips: np.ndarray,
+    axis: np.ndarray,
+) -> None:
+    """Send the external torque as a force at the link's tip."""
+    arm = tips - np.outer(tips @ axis, axis)
+    length = np.linalg.norm(arm, axis=1, keepdims=True)
+    direction = np.cross(axis, arm) / np.maximum(length, 1e-9)
+    vectors = FORCE_SCALE * (torque[:, None] / np.maximum(length, 1e-9)) * direction
+    if is_new(stream, path):
+        looks = rr.Arrows3D.from_fields(colors=[rgb(EXTERNAL)], radii=[0.007])
+        stream.log(path, looks, static=True, strict=True)
+    columns = rr.Arrows3D.columns(origins=(tips - vectors).astype(np.float32), vectors=vectors.astype(np.float32))
+    stream.send_columns(path, time, columns, strict=True)
 
 
 def _axis(model: mujoco.MjModel) -> np.ndarray:
@@ -138,13 +177,13 @@ def send_geoms(stream: rr.RecordingStream, model: mujoco.MjModel, body: int, pat
         # A transparent housing is drawn as lines, to show its content.
         solid = color[3] == 255 and not lines
         fill = rr.components.FillMode.Solid if solid else rr.components.FillMode.DenseWireframe
+        matrix = np.empty(9)
+        mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
         common: dict[str, Any] = {"quaternions": [rotation], "colors": [color[:3]], "fill_mode": fill}
         shape: rr.AsComponents
         if kind == kinds.mjGEOM_CYLINDER:
             shape = rr.Cylinders3D(lengths=[2 * size[1]], radii=[size[0]], centers=[position], **common)
         elif kind == kinds.mjGEOM_CAPSULE:
-            matrix = np.empty(9)
-            mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
             begin = position - size[1] * matrix.reshape(3, 3)[:, 2]  # Rerun's capsule starts at its first end
             shape = rr.Capsules3D(lengths=[2 * size[1]], radii=[size[0]], translations=[begin], **common)
         elif kind == kinds.mjGEOM_BOX:
@@ -153,17 +192,11 @@ def send_geoms(stream: rr.RecordingStream, model: mujoco.MjModel, body: int, pat
             half = size if kind == kinds.mjGEOM_ELLIPSOID else np.full(3, size[0])
             shape = rr.Ellipsoids3D(half_sizes=[half], centers=[position], **common)
         elif kind == kinds.mjGEOM_MESH:
-            shape = _mesh(model, geom, color)
+            mesh = model.mesh(model.geom_dataid[geom])
+            vertices = slice(mesh.vertadr[0], mesh.vertadr[0] + mesh.vertnum[0])
+            faces = slice(mesh.faceadr[0], mesh.faceadr[0] + mesh.facenum[0])
+            points = model.mesh_vert[vertices] @ matrix.reshape(3, 3).T + position
+            shape = rr.Mesh3D(vertex_positions=points, triangle_indices=model.mesh_face[faces], albedo_factor=color)
         else:
             continue  # planes and height fields are not part of the joint
         stream.log(f"{path}/{model.geom(geom).name or f'geom_{geom}'}", shape, static=True, strict=True)
-
-
-def _mesh(model: mujoco.MjModel, geom: int, color: Sequence[int]) -> rr.Mesh3D:
-    mesh = model.geom_dataid[geom]
-    vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
-    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
-    points = model.mesh_vert[vertices] @ matrix.reshape(3, 3).T + model.geom_pos[geom]
-    return rr.Mesh3D(vertex_positions=points, triangle_indices=model.mesh_face[faces], albedo_factor=list(color))
