@@ -25,7 +25,7 @@ from ..models import dynamics, laws
 from ..models.dynamics import UNREAD, State
 from ..models.errors import InputError
 from ..models.kernels import kernel
-from ..models.parameters import PARAMETERS
+from ..models.parameters import PARAMETERS, floats
 from .estimator import KnownJoint
 from .sensing import LOWPASS, RING, VELOCITY, line_in_ring, lowpass, motor_current, place_in_ring
 
@@ -34,12 +34,9 @@ _HYSTERESIS = 2.0 * math.pi * 70.0
 """Low-pass [rad/s] of the torsion that drives the hysteresis. A higher one lets counts wear the state away; a lower
 one misses vibrations."""
 
-TORSION = np.dtype(
-    [
-        ("torque", np.float64), ("dahl", np.float64), ("count", np.float64),
-        ("motor", LOWPASS), ("slow", LOWPASS),
-        *((name, np.float64, RING) for name in ("time", "motor_position", "motor_torque", "velocity", "torsion")),
-    ]
+TORSION = floats(
+    "torque", "dahl", "count", ("motor", LOWPASS), ("slow", LOWPASS),
+    ("time", RING), ("motor_position", RING), ("motor_torque", RING), ("velocity", RING), ("torsion", RING),
 )  # fmt: skip
 """Memory of `measure`: last torque [N·m], Dahl state [rad], number of samples, rotor and torsion through low-passes,
 and a ring of past samples for a delayed link encoder."""

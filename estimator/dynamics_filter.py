@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..models.dynamics import UNREAD
 from ..models.kernels import kernel
+from ..models.parameters import floats
 from ..models.step import NOT_FINITE, OK, SAMPLE
 from . import joint_model as model
 from .joint_model import EXTERNAL, LINK, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS, WAVE
@@ -31,29 +30,21 @@ POINTS = 2 * SIZE + 1
 _DIFFERENCE = 1e-5  # rad
 _STILL = 0.1  # time [s] at one count after which the position within it is unknown
 
-FILTER = np.dtype(
-    [
-        ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("current", np.float64), ("time", np.float64),
-        ("motor_ratio", np.float64), ("link_ratio", np.float64), ("reading", np.float64), ("still", np.float64),
-        ("predicted", np.float64, SIZE), ("predicted_P", np.float64, (SIZE, SIZE)), ("F", np.float64, (SIZE, SIZE)),
-        ("count", np.float64), ("done", np.float64), ("ring", SAMPLE, RING),
-        ("times", np.float64, RING), ("external", np.float64, RING),
-        ("now", np.float64, SIZE), ("now_P", np.float64, (SIZE, SIZE)), ("e", np.float64, 2), ("S", np.float64, 2),
-        ("points", np.float64, (POINTS, SIZE)), ("A", np.float64, (SIZE, SIZE)), ("work", np.float64, (3, SIZE)),
-        ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
-    ]
+FILTER = floats(
+    ("x", SIZE), ("P", (SIZE, SIZE)), "current", "time", "motor_ratio", "link_ratio", "reading", "still",
+    ("predicted", SIZE), ("predicted_P", (SIZE, SIZE)), ("F", (SIZE, SIZE)), "count", "done", ("ring", SAMPLE, RING),
+    ("times", RING), ("external", RING), ("now", SIZE), ("now_P", (SIZE, SIZE)), ("e", 2), ("S", 2),
+    ("points", (POINTS, SIZE)), ("A", (SIZE, SIZE)), ("work", (3, SIZE)), ("H", SIZE), ("PH", SIZE),
 )  # fmt: skip
 """Memory of the filter: state and covariance of the active states, motor current [A], time of the last sample [s];
 mean NIS of both encoders; the motor encoder's last reading [rad] and for how long it has been the same [s]; the
 prediction with its covariance and Jacobian, for a smoother; for a delayed link encoder the number of samples, of
 processed ones, a ring of them and of the external torque [N·m]; state and covariance now; innovations [rad] and
 their variances [rad²]; the rest is scratch."""
-SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])  # Noise, and κ, the spread of the sigma points
-OUT = np.dtype(
-    [(name, np.float64) for name in (
-        "torque", "variance", "innovation_motor_position", "innovation_link_position",
-        "innovation_variance_motor_position", "innovation_variance_link_position", *STATES,
-    )]
+SETTINGS = floats(("noise", NOISE), "kappa")  # Noise, and κ, the spread of the sigma points
+OUT = floats(
+    "torque", "variance", "innovation_motor_position", "innovation_link_position",
+    "innovation_variance_motor_position", "innovation_variance_link_position", *STATES,
 )  # fmt: skip
 
 

@@ -9,15 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from .files import Strict
+from .parameters import floats
 
-CONTROLLER = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain", "gravity", "delay", "mode", "feed",
-        )
-    ]
-)  # fmt: skip
+CONTROLLER = floats("kp", "kd", "ki", "filter", "limit", "gear", "torque_gain", "gravity", "delay", "mode", "feed")
 """The controller as one record for compiled code; `mode`: index in `MODES`; `feed`: current per commanded torque [A/(N·m)]."""
 
 Mode = Literal["position", "velocity", "torque"]  # what the drive is commanded

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from .errors import InputError, nearest
+from .parameters import floats
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ DRIVING: tuple[str, ...] = ("motor_current", "motor_torque", "joint_torque")
 WRENCH: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor == "wrench")
 """Axes of the force/torque sensor; the joint's axis is its y, and positive torque about it drives the link backwards."""
 
-READINGS = np.dtype([(name, np.float64) for name in SENSED])
+READINGS = floats(*SENSED)
 """Readings of all sensors at one instant, as a record for compiled code."""
 
 

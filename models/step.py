@@ -21,18 +21,10 @@ from numba.np.numpy_support import from_dtype
 
 from .errors import InputError, whole
 from .kernels import c_function
-from .parameters import PARAMETERS
-from .signals import READINGS
+from .parameters import PARAMETERS, floats
+from .signals import SENSED
 
-SAMPLE = np.dtype(
-    [
-        ("time", np.float64),
-        ("interval", np.float64),
-        ("current_command", np.float64),
-        ("arm_torque", np.float64),
-        *READINGS.descr,
-    ]
-)
+SAMPLE = floats("time", "interval", "current_command", "arm_torque", *SENSED)
 """An estimator's inputs at one instant, as a record for compiled code: `time` since the recording's start and
 `interval` since the sample before [s] (0 at the first), the current command in force until now [A], the torque of
 an arm's other joints on the link [N·m], and every reading; NaN for an unknown or unused command, or a missing
@@ -111,9 +103,7 @@ def step_of(
     Returns:
       A decorator, which gives a `Step` or a `PythonStep` with the records' types as `records`.
     """
-    own = [
-        of if isinstance(of, np.dtype) else np.dtype([(name, np.float64) for name in of]) for of in (settings, outputs)
-    ]
+    own = [of if isinstance(of, np.dtype) else floats(*of) for of in (settings, outputs)]
     records = (memory, SAMPLE, PARAMETERS, *own)
 
     def decorated(function: Callable[..., int]) -> Step | PythonStep:

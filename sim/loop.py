@@ -19,7 +19,7 @@ import numpy as np
 
 from ..models import dynamics
 from ..models.kernels import kernel
-from ..models.parameters import REFERENCE_TEMPERATURE
+from ..models.parameters import REFERENCE_TEMPERATURE, floats
 from ..models.pointers import call_estimator, call_step, floats_at, ints_at, word_at
 from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
@@ -30,15 +30,9 @@ from .sensors import distort, low_pass, sample
 
 CONTROL_PERIOD = 0.001  # period [s] of sensors, estimators and position controller
 
-TRUTH = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "motor_position", "wave_generator_position", "link_position",
-            "motor_velocity", "wave_generator_velocity", "link_velocity",
-            "motor_current", "wave_generator_torque", "flexspline_torque", "joint_torque", "bristle", "dahl",
-        )
-    ]
+TRUTH = floats(
+    "motor_position", "wave_generator_position", "link_position", "motor_velocity", "wave_generator_velocity", "link_velocity",
+    "motor_current", "wave_generator_torque", "flexspline_torque", "joint_torque", "bristle", "dahl",
 )  # fmt: skip
 """The true state at one instant, as a record."""
 
@@ -49,15 +43,10 @@ _JOINT_AXIS = SENSED.index("torque_y")
 
 
 _FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "xaxis", "sensordata", "plugin_state", "disableflags")
-_ADDRESSES = np.dtype(
-    [
-        (name, np.int64)
-        for name in (
-            *_FIELDS, "current", "memory", "force", "torque", "link_body", "link_joint", "rotor", "wave_generator", "link",
-            "motor",
-        )
-    ]
+_PLACES = (
+    "current", "memory", "force", "torque", "link_body", "link_joint", "rotor", "wave_generator", "link", "motor",
 )  # fmt: skip
+_ADDRESSES = np.dtype([(name, np.int64) for name in (*_FIELDS, *_PLACES)])
 """Addresses of a joint's data: fields in MuJoCo's structures (`native.offsets`), the current in `act` (−1: none),
 `plant.memory` in the plugin state, sensors in `sensordata`, the numbers of the link's body and joint, the three
 coordinates, the motor."""

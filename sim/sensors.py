@@ -15,16 +15,12 @@ import numpy as np
 from ..models.joint import Joint
 from ..models.joint_parts import AnalogSpec, EncoderSpec, WrenchSpec
 from ..models.kernels import kernel
+from ..models.parameters import floats
 from ..models.signals import CHANNELS, READINGS, SENSED
 
-SENSOR = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "step", "delay", "period", "pass_now", "pass_before", "at_step", "ripple_order", "ripple_amplitude",
-            "ripple_phase", "crosstalk", "cyclic_error",
-        )
-    ]
+SENSOR = floats(
+    "step", "delay", "period", "pass_now", "pass_before", "at_step", "ripple_order", "ripple_amplitude", "ripple_phase",
+    "crosstalk", "cyclic_error",
 )  # fmt: skip
 """A sensor as one record for compiled code: step of quantisation, delay [s], sample period [s], its low-pass
 (`low_pass`; 1 and 0 without one), whether it is read after the plant's step, ripple over the motor's angle,

@@ -8,15 +8,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure, torque_variance
 from ..estimator import CausalEstimator, KnownJoint
 
-SETTINGS = np.dtype([("variance", np.float64)])
-OUT = np.dtype([(n, np.float64) for n in ("torque", "variance", "torsion", "link_position")])
+SETTINGS = floats("variance")
 
 
-@step_of(TORSION, SETTINGS, OUT)
+@step_of(TORSION, SETTINGS, ("torque", "variance", "torsion", "link_position"))
 def _step(m, s, p, c, o):
     found = measure(m, s, p)
     o.torque, o.torsion, o.link_position = found.torque, found.torsion, found.link_position

@@ -22,16 +22,15 @@ import numpy as np
 
 from ...models import dynamics, laws
 from ...models.kernels import kernel
+from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..estimator import CausalEstimator, KnownJoint
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
-MEMORY = np.dtype(
-    [("torque", np.float64), ("bristle", np.float64), ("motor", LOWPASS), ("drive", LOWPASS), ("ratio", LOWPASS)]
-)
-SETTINGS = np.dtype([("cutoff", np.float64), ("lead", np.float64)])
-OUT = np.dtype([(n, np.float64) for n in ("torque", "motor_velocity", "motor_acceleration", "drive_torque", "bristle")])
+MEMORY = floats("torque", "bristle", ("motor", LOWPASS), ("drive", LOWPASS), ("ratio", LOWPASS))
+SETTINGS = floats("cutoff", "lead")
+OUT = floats("torque", "motor_velocity", "motor_acceleration", "drive_torque", "bristle")
 
 
 @kernel

@@ -15,18 +15,19 @@ from typing import ClassVar
 import numpy as np
 
 from ...models.kernels import kernel
+from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure, torque_variance
 from ..estimator import CausalEstimator, KnownJoint
 from ..tuning_parameters import TuningParameter
 
-STATE = np.dtype([(name, np.float64) for name in ("torque", "torque_rate", "P00", "P01", "P11")])
+STATE = floats("torque", "torque_rate", "P00", "P01", "P11")
 """Torque [N·m], its rate [N·m/s] and their covariance."""
-MEMORY = np.dtype([("torsion", TORSION), ("filter", STATE), ("expected", np.float64)])
+MEMORY = floats(("torsion", TORSION), ("filter", STATE), "expected")
 """`expected`: squared innovation in the memory of a fading filter [(N·m)²]."""
-SETTINGS = np.dtype([(name, np.float64) for name in ("q", "V", "rate_variance", "first", "second")])
+SETTINGS = floats("q", "V", "rate_variance", "first", "second")
 """q [(N·m)²/s³], V [(N·m)²], variance of the first rate; two tuning parameters of subclasses."""
-OUT = np.dtype([(n, np.float64) for n in ("torque", "variance", "innovation", "innovation_variance", "torque_rate")])
+OUT = floats("torque", "variance", "innovation", "innovation_variance", "torque_rate")
 ACCELERATION = TuningParameter("acceleration", 1e-3, 1e3)
 
 

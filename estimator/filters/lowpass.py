@@ -14,13 +14,14 @@ from typing import ClassVar
 import numpy as np
 
 from ...models.errors import InputError
+from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint
 from ..tuning_parameters import TuningParameter
 
-MEMORY = np.dtype([("torsion", TORSION), ("z1", np.float64), ("z2", np.float64)])
-SETTINGS = np.dtype([(name, np.float64) for name in ("b0", "b1", "b2", "a1", "a2")])
+MEMORY = floats(("torsion", TORSION), "z1", "z2")
+SETTINGS = floats("b0", "b1", "b2", "a1", "a2")
 
 
 @step_of(MEMORY, SETTINGS, ("torque",))

@@ -17,6 +17,7 @@ import numpy as np
 from ...models import dynamics
 from ...models.kernels import kernel
 from ...models.motion import CUTOFF, smooth
+from ...models.parameters import floats
 from ...models.signals import Signals
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from .. import smoothed
@@ -29,13 +30,13 @@ DECIMATION = 4  # grid steps per sample of the regression
 _ITERATIONS = 10
 _SECOND = 1.5  # cutoff of the second low-pass over that of the first
 
-MEMORY_RECORD = np.dtype([
-    ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("motor", LOWPASS, 2), ("link", LOWPASS, 2), ("drive", LOWPASS, 2),
-])  # fmt: skip
-SETTINGS = np.dtype([("cutoff", np.float64), ("noise", np.float64), ("prior", np.float64, (SIZE, 2))])
-OUT = np.dtype([(n, np.float64) for n in (
+MEMORY_RECORD = floats(
+    ("x", SIZE), ("P", (SIZE, SIZE)), ("motor", LOWPASS, 2), ("link", LOWPASS, 2), ("drive", LOWPASS, 2)
+)
+SETTINGS = floats("cutoff", "noise", ("prior", (SIZE, 2)))
+OUT = floats(
     "torque", "external_torque", "payload_sin", "payload_cos", "payload_inertia", "back_driven_friction", "friction_error",
-)])  # fmt: skip
+)  # fmt: skip
 
 
 @kernel
