@@ -4,7 +4,7 @@
 """
 
 from ..models.step import step_of
-from .compliance import Compliance, compliance, measurement_variance
+from .compliance import measurement_variance
 from .errors import FilterDiverged
 from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise
 from .filters.paper import PaperFilter
@@ -13,7 +13,6 @@ from .tuning_parameters import TuningParameter
 
 __all__ = [
     "CausalEstimator",
-    "Compliance",
     "Estimator",
     "FilterDiverged",
     "KnownJoint",
@@ -21,7 +20,6 @@ __all__ = [
     "Posterior",
     "SensorNoise",
     "TuningParameter",
-    "compliance",
     "get",
     "measurement_variance",
     "names",

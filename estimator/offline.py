@@ -628,18 +628,13 @@ def _tracked(
 
 @kernel
 def _wave_generator_torsion(torque, record):
-    p, out = record[0], np.empty(len(torque))
-    for i in range(len(out)):
-        out[i] = laws.wave_generator_torsion(torque[i] / p.N, p) / p.N
-    return out
+    p = record[0]
+    return np.array([laws.wave_generator_torsion(T / p.N, p) / p.N for T in torque])
 
 
 @kernel
 def _slow_friction(w, record):
-    out = np.empty(len(w))
-    for i in range(len(w)):
-        out[i] = slow_friction(w[i], record[0])
-    return out
+    return np.array([slow_friction(x, record[0]) for x in w])
 
 
 @kernel

@@ -103,10 +103,7 @@ def link_positions(signals: Signals, joint: KnownJoint) -> np.ndarray:
 
 @kernel
 def _motor_positions(reading, record):
-    out = np.empty(len(reading))
-    for i in range(len(out)):
-        out[i] = dynamics.actual_motor_position(reading[i], record[0])
-    return out
+    return np.array([dynamics.actual_motor_position(x, record[0]) for x in reading])
 
 
 @kernel
@@ -235,7 +232,4 @@ def wound(torque: np.ndarray, joint: KnownJoint) -> np.ndarray:
 
 @kernel
 def _wound(torque, record):
-    out = np.empty(len(torque))
-    for i in range(len(out)):
-        out[i] = laws.flexspline_torsion(torque[i], record[0])
-    return out
+    return np.array([laws.flexspline_torsion(T, record[0]) for T in torque])

@@ -53,10 +53,6 @@ class Controller(Strict):
         float, Field(ge=0, le=1, description="share of the link's weight that the drive compensates")
     ] = 0.0
 
-    def changed_by(self, other: Controller) -> Controller:
-        """Return the controller with the keys that another one states."""
-        return self.model_copy(update={key: getattr(other, key) for key in other.model_fields_set})
-
     def lagging(self, delay: float) -> Controller:
         """Return the controller for a drive with a delay [s]: lower gains with the same phase margin.
 

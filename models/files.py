@@ -7,8 +7,8 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Hashable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationErro
 from pydantic_core import PydanticCustomError, core_schema
 
 from .errors import LARGEST_TEXT, InputError, first_line, is_there, nearest, read_text, unknown_key
-from .output import described, write_whole
+from .output import write_into_place
 from .schema import documented
 
 
@@ -439,14 +439,3 @@ def check_name(name: str, where: str) -> str:
             f"dot or a blank, got {shown(name)}"
         )
     return name
-
-
-@contextmanager
-def write_into_place(path: Path) -> Iterator[Path]:
-    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it. Raises
-    `InputError`: it cannot be written (no permission, a full disk); one line."""
-    try:
-        with write_whole(path) as temporary:
-            yield temporary
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {described(error)}") from error

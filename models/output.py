@@ -104,7 +104,7 @@ def output_folder(
     except OSError as error:
         if entered and error.errno not in _ENVIRONMENT:
             raise
-        raise InputError(f"{path}: cannot be written: {described(error)}") from error
+        raise InputError(f"{path}: cannot be written: {_described(error)}") from error
 
 
 @contextmanager
@@ -174,7 +174,7 @@ def recover(path: Path) -> None:
                 _recover(path)
     except OSError as error:
         raise InputError(
-            f"{path}: expected complete output, got some that was interrupted and cannot be completed: {described(error)}"
+            f"{path}: expected complete output, got some that was interrupted and cannot be completed: {_described(error)}"
         ) from error
 
 
@@ -187,7 +187,7 @@ def manifest(path: Path) -> dict[str, str]:
     except (FileNotFoundError, NotADirectoryError, ValueError, RecursionError):
         return {}
     except OSError as error:
-        raise InputError(f"{file}: cannot be read: {described(error)}") from error
+        raise InputError(f"{file}: cannot be read: {_described(error)}") from error
     if not isinstance(found, dict) or not isinstance(found.get("files"), dict):
         return {}
     if found.get("format", 1) != 1:
@@ -327,18 +327,21 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def write_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it. Raises
-    `OSError`: it cannot be written."""
-    if any(part.startswith(_NEW) for part in path.parts):  # inside a folder that appears complete
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield path
-        return
-    with _staging(path.parent) as folder:
-        yield folder / path.name
-        os.replace(folder / path.name, path)
+def write_into_place(path: Path) -> Iterator[Path]:
+    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it. Raises `InputError`: it
+    cannot be written (no permission, a full disk); one line."""
+    try:
+        if any(part.startswith(_NEW) for part in path.parts):  # inside a folder that appears complete
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield path
+        else:
+            with _staging(path.parent) as folder:
+                yield folder / path.name
+                os.replace(folder / path.name, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {_described(error)}") from error
 
 
-def described(error: OSError) -> str:
+def _described(error: OSError) -> str:
     """Return the cause of an error in a few words."""
     return os.strerror(error.errno) if error.errno else first_line(error)

@@ -74,7 +74,8 @@ class PythonStep:
         def guarded(*addresses: int) -> int:
             try:
                 at = zip(addresses, records, strict=True)
-                return int(function(*(numpy_at(address, of, 1).view(np.recarray)[0] for address, of in at)))
+                memory = [np.frombuffer((ctypes.c_char * of.itemsize).from_address(a), of) for a, of in at]
+                return int(function(*(one.view(np.recarray)[0] for one in memory)))
             except BaseException as error:  # no exception may pass through compiled code
                 self.error = error
                 return -1
@@ -112,13 +113,6 @@ def step_of(
     return decorated
 
 
-def numpy_at(address: int, dtype: np.dtype | type, count: int) -> np.ndarray:
-    """Return the array, shape (count,), at an address."""
-    kind: np.dtype = np.dtype(dtype)
-    memory = (ctypes.c_char * (kind.itemsize * count)).from_address(address)
-    return np.frombuffer(memoryview(memory), dtype=kind)
-
-
 @dataclass(frozen=True)
 class CompiledStep:
     """A step with its data, ready for the loop."""
@@ -130,7 +124,6 @@ class CompiledStep:
     settings: np.ndarray = field(default_factory=lambda: np.zeros(1))
     outputs: int = 1  # length of `out`
     reads_command: bool = False  # whether its samples contain a known current command; else NaN
-    owner: Any = None  # kept alive while the address is used
 
     def arrays(self) -> Arrays:
         """Return address, new memory, record, settings and `out`, for compiled code."""

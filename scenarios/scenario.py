@@ -385,7 +385,7 @@ class Scenario(Strict):
         if joint.controller is None:
             return self
         own = self.controller
-        chosen = joint.controller.changed_by(own)
+        chosen = joint.controller.model_copy(update={key: getattr(own, key) for key in own.model_fields_set})
         if self.sensors_are_realistic and own == Controller().lagging(own.delay):  # not stated by anyone
             chosen = joint.controller if joint.controller.delay else joint.controller.lagging(own.delay)
         return self.model_copy(update={"controller": chosen})

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
+from ..models.tables import read_table
 from . import native, plant
 from .plugin import LINK, MEMORY, transmission_at
 
@@ -164,20 +162,11 @@ def _read(path: Path, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: cannot read a reference solution: not a file")
     if not path.exists():
         raise InputError(f"{path}: expected a reference solution, found no such file")
-    try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else "not a Parquet file"
-        raise InputError(f"{path}: cannot read a reference solution: {reason}") from error
+    found, _ = read_table(path)
     for column in columns:
-        if column not in table.column_names:
-            raise InputError(f"{path}: expected a column {column!r}, got {', '.join(table.column_names)}")
-    found = {}
-    for column in columns:
-        try:
-            found[column] = table[column].to_numpy().astype(np.float64)
-        except (TypeError, ValueError):
-            found[column] = np.zeros(0)
-        if len(found[column]) < 2 or not np.isfinite(found[column]).all():
+        if column not in found:
+            raise InputError(f"{path}: expected a column {column!r}, got {', '.join(found)}")
+        values = found[column]
+        if values.dtype.kind not in "fiu" or len(values) < 2 or not np.isfinite(values).all():
             raise InputError(f"{path}: column {column!r}: expected two or more finite numbers, got others")
-    return found
+    return {column: found[column].astype(np.float64) for column in columns}

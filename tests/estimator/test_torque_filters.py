@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from matrix_filter import FilterModel, run
+from paper_compliance import compliance
 from scipy.optimize import minimize
 from scipy.signal import butter, lfilter
 
-from flexspline.estimator import FilterDiverged, PaperFilter, compliance, get
+from flexspline.estimator import FilterDiverged, PaperFilter, get
 from flexspline.estimator.compliance import torque_variance
 from flexspline.estimator.filters import huber
 from flexspline.estimator.filters.kalman import STATE
