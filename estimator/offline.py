@@ -189,9 +189,7 @@ def estimate_recording(
     left_out: dict[str, str] = {}
     untrusted: dict[str, str] = {}
     notes = []
-    for segment in recording.segments:
-        if segment.stop - segment.start < SHORTEST:
-            continue
+    for segment in _estimated(recording):
         signals = blind.part(segment)
         ready = prepare(signals, known)
         notes.append(ready.note | {"start": float(recording.stamps[segment.start])})
@@ -257,7 +255,11 @@ def _bands(
 
 def too_short(recording: Recording) -> bool:
     """Return whether nothing is estimated: no segment has `SHORTEST` samples."""
-    return all(segment.stop - segment.start < SHORTEST for segment in recording.segments)
+    return not _estimated(recording)
+
+
+def _estimated(recording: Recording) -> list[slice]:
+    return [segment for segment in recording.segments if segment.stop - segment.start >= SHORTEST]
 
 
 def lacking(recording: Recording, names: Sequence[str]) -> dict[str, str]:
@@ -291,9 +293,7 @@ def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
         return {}
     known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
     motions = []
-    for segment in recording.segments:
-        if segment.stop - segment.start < SHORTEST:
-            continue
+    for segment in _estimated(recording):
         motion, load = motion_and_load(recording.signals.part(segment), known)
         moving = np.abs(motion.motor_velocity) > MOVING * known.p["vs"]
         motions.append(np.stack([motion.link_position, motion.link_velocity, load])[:, moving])

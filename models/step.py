@@ -74,7 +74,7 @@ class PythonStep:
         def guarded(*addresses: int) -> int:
             try:
                 at = zip(addresses, records, strict=True)
-                memory = [np.frombuffer((ctypes.c_char * of.itemsize).from_address(a), of) for a, of in at]
+                memory = [np.frombuffer(memoryview((ctypes.c_char * of.itemsize).from_address(a)), of) for a, of in at]
                 return int(function(*(one.view(np.recarray)[0] for one in memory)))
             except BaseException as error:  # no exception may pass through compiled code
                 self.error = error

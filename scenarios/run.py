@@ -247,7 +247,7 @@ class Run:
 
 
 @kernel
-def _kinematic_errors(theta_w, record):
+def _kinematic_errors(theta_w: np.ndarray, record: np.ndarray) -> np.ndarray:
     return np.array([laws.kinematic_error(x, record[0]) for x in theta_w])
 
 
