@@ -485,11 +485,15 @@ def read_scenario(
     changes = changes or []
     _make_room(data, [change.partition("=")[0] for change in changes])
     for i, change in enumerate(changes):
-        key = change.partition("=")[0]
+        key, sign, text = change.partition("=")
+        if not sign or not key:
+            raise InputError(
+                f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key"
+            )
         lost = next((before for before in changes[:i] if before.startswith(f"{key}.")), None)
         if lost is not None:
             raise InputError(f"--set {change}: it would discard --set {lost}: expected --set {key} first")
-        _override(data, change)
+        put(data, key, _from_here(key, yaml_value(text)), f"--set {change}")
     if seed is not None:
         data["seed"] = seed
     return data, path
@@ -534,13 +538,6 @@ def _from_here(key: str, value: Any) -> Any:
     if is_path and Path(str(value)).is_file():
         return str(Path(str(value)).resolve())
     return str(value) if isinstance(value, Path) else value
-
-
-def _override(data: dict[str, Any], change: str) -> None:
-    key, sign, text = change.partition("=")
-    if not sign or not key:
-        raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
-    put(data, key, _from_here(key, yaml_value(text)), f"--set {change}")
 
 
 def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:

@@ -110,7 +110,8 @@ class ArmScenario(Strict):
             shared = {key: given[key] for key in _SHARED if key in given}
             seed = given.get("seed", 1)
             if isinstance(seed, int) and seed >= 0:
-                shared["seed"] = _seed(seed, str(one.get("name", "")))
+                entropy = [seed, zlib.crc32(str(one.get("name", "")).encode())]
+                shared["seed"] = int(np.random.SeedSequence(entropy).generate_state(1)[0])
             pushes = one.get("disturbances")
             if isinstance(pushes, list):
                 shared["disturbances"] = [{"lever": 0.0} | d if isinstance(d, dict) else d for d in pushes]
@@ -183,11 +184,6 @@ class ArmScenario(Strict):
             f"{path}: {', '.join(replaced)}: not used, as the joints of `arm` have their own motors, gears and friction"
         )
         return text, unused if replaced else ""
-
-
-def _seed(seed: int, name: str) -> int:
-    """Return the seed of a joint, from the arm's seed and its name."""
-    return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1)[0])
 
 
 def load_any(
