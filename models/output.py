@@ -3,9 +3,10 @@
 The manifest `.flexspline` of a folder lists the files written here and their maker (`run`, `diagnose`, …). Only the same
 maker replaces or removes them. All other files belong to the user.
 
-A command writes to the folder `.flexspline-new-…` first. When it is complete, one rename makes it `.flexspline-done-…`.
-From then on its files only have to be moved up. After an interruption, the next process that opens the folder
-continues (`recover`). The next write removes unfinished folders of processes that have ended.
+A command writes to the folder `.flexspline-new-…` first. When it is complete, with its manifest, one rename makes it
+`.flexspline-done-…`. From then on its files only have to be moved up, and those removed that are in the folder's manifest and
+not in the new one. After an interruption, the next process that opens the folder continues (`recover`). The next write
+removes unfinished folders of processes that have ended.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ except ImportError:  # Windows has no such locks
 
 MANIFEST = ".flexspline"
 _NEW, _DONE = f"{MANIFEST}-new-", f"{MANIFEST}-done-"
-_JOURNAL, _LISTED = ".journal", ".manifest"
 _TRIES = 100  # to enter a folder that other processes make and remove
 _ENVIRONMENT = {
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG,
@@ -237,10 +237,9 @@ def _commit(path: Path, staging: Path, maker: str, whole: bool) -> None:
     names = sorted(p.relative_to(staging).as_posix() for p in staging.rglob("*") if not p.is_dir())
     for name in names:
         _check_target(path, name, listed, maker)
-    old = [name for name, by in listed.items() if whole and by == maker and name not in names]
-    kept = {name: by for name, by in listed.items() if name not in old}
-    journal = {"remove": old, "files": kept | dict.fromkeys(names, maker)}
-    (staging / _JOURNAL).write_text(json.dumps(journal, ensure_ascii=False), encoding="utf-8")
+    kept = {name: by for name, by in listed.items() if not whole or by != maker}
+    files = {"format": 1, "files": dict(sorted((kept | dict.fromkeys(names, maker)).items()))}
+    (staging / MANIFEST).write_text(json.dumps(files, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     done = path / staging.name.replace(_NEW, _DONE)
     os.rename(staging, done)
     _move_up(path, done)
@@ -258,30 +257,24 @@ def _recover(path: Path) -> None:
 
 
 def _move_up(path: Path, done: Path) -> None:
-    """Move complete output to its place. It may be interrupted at every step, and repeated."""
-    try:
-        journal = json.loads((done / _JOURNAL).read_text(encoding="utf-8"))
-        files, old = dict(journal["files"]), [str(name) for name in journal["remove"]]
-    except (FileNotFoundError, ValueError, TypeError, KeyError, RecursionError):
-        if not any(p.is_file() for p in done.rglob("*")):  # all files were moved up
-            shutil.rmtree(done)
+    """Move complete output to its place, its manifest last. It may be interrupted at every step, and repeated."""
+    new, files = manifest(done), [p for p in done.rglob("*") if not p.is_dir()]
+    if not new and files:  # not as it was written
         return
-    # The manifest first: a file that exists and is not listed would count as the user's.
-    listed = {"format": 1, "files": dict(sorted(files.items()))}
-    (done / _LISTED).write_text(json.dumps(listed, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    os.replace(done / _LISTED, path / MANIFEST)
     inside = path.resolve()
-    for source in sorted(p for p in done.rglob("*") if not p.is_dir() and p != done / _JOURNAL):
+    for source in sorted(p for p in files if p != done / MANIFEST):
         target = path / source.relative_to(done)
         if target.parent.resolve().is_relative_to(inside):
             target.parent.mkdir(parents=True, exist_ok=True)
             os.replace(source, target)
-    for gone in (path / name for name in old if _is_inside(name)):
+    for gone in (path / name for name in manifest(path) if files and name not in new):
         if gone.parent.resolve().is_relative_to(inside):
             gone.unlink(missing_ok=True)
             with suppress(OSError):  # the folder has other files
                 for parent in gone.relative_to(path).parents[:-1]:
                     (path / parent).rmdir()
+    if files:
+        os.replace(done / MANIFEST, path / MANIFEST)
     shutil.rmtree(done)
 
 
