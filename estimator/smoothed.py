@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..models import dynamics, laws
-from ..models.chunks import kept, large
+from ..models.chunks import kept, large, parts
 from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
 from ..models.motion import BLOCK, smooth
@@ -133,20 +133,14 @@ def bandwidth(signals: Signals, joint: KnownJoint, quiet: float = QUIET) -> floa
 
 
 def white_noise(time: np.ndarray, values: np.ndarray) -> float:
-    """Return the standard deviation of white noise on a smooth signal, from third divided differences; robust."""
+    """Return the standard deviation of white noise on a smooth signal, from third divided differences, in units of the
+    noise of one sample; robust."""
     difference = np.empty(max(len(time) - 3, 0))
-    for begin in range(0, len(difference), BLOCK):
-        part = slice(begin, begin + BLOCK + 3)
-        difference[begin : begin + BLOCK] = _third_differences(time[part], values[part])
+    for part in parts(len(difference), BLOCK):
+        t, y = (np.stack([x[part.start + i : part.stop + i] for i in range(4)]) for x in (time, values))
+        weight = np.array([1 / np.prod([t[i] - t[j] for j in range(4) if j != i], axis=0) for i in range(4)])
+        difference[part] = np.sum(weight * y, axis=0) / np.sqrt(np.sum(weight**2, axis=0))
     return float(_ROBUST * np.median(np.abs(difference, out=difference), overwrite_input=True))
-
-
-def _third_differences(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return third divided differences of n samples, in units of the noise of one sample, shape (n - 3,)."""
-    t = np.stack([time[i : len(time) - 3 + i] for i in range(4)])
-    weight = np.array([1 / np.prod([t[i] - t[j] for j in range(4) if j != i], axis=0) for i in range(4)])
-    y = np.stack([values[i : len(values) - 3 + i] for i in range(4)])
-    return np.sum(weight * y, axis=0) / np.sqrt(np.sum(weight**2, axis=0))
 
 
 def torque_from_current(motion: Motion, joint: KnownJoint) -> np.ndarray:

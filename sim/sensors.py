@@ -70,7 +70,11 @@ def noise(joint: Joint, seed: int, samples: int, dt: float) -> np.ndarray:
     found = np.zeros(samples, READINGS)
     for name in SENSED:
         spec = joint.sensors.of(CHANNELS[name])
-        if (white := _rms(spec, name)) > 0.0:
+        if isinstance(spec, WrenchSpec):
+            white = spec.force_noise if name.startswith("force") else spec.torque_noise
+        else:
+            white = spec.noise
+        if white > 0.0:
             found[name] = white * stream(seed, name).standard_normal(samples)
         if isinstance(spec, AnalogSpec) and spec.flicker > 0.0:
             found[name] += spec.flicker * flicker(samples, stream(seed, f"{name} flicker"))
@@ -79,12 +83,6 @@ def noise(joint: Joint, seed: int, samples: int, dt: float) -> np.ndarray:
             angle = 2 * np.pi * spec.vibration.frequency * dt * np.arange(samples) + phase
             found[name] += math.sqrt(2.0) * spec.vibration.amplitude * np.sin(angle)
     return found
-
-
-def _rms(spec: EncoderSpec | AnalogSpec | WrenchSpec, channel: str) -> float:
-    if isinstance(spec, WrenchSpec):
-        return spec.force_noise if channel.startswith("force") else spec.torque_noise
-    return spec.noise
 
 
 def flicker(samples: int, rng: np.random.Generator) -> np.ndarray:
