@@ -125,13 +125,11 @@ def _principal(signals: Signals, known: KnownJoint, joint: Joint, mounting: Moun
     changes = independent_changes(joint)
     base = _torques(signals, known)
     responses = [_torques(signals, replace(known, record=moved(joint, mounting, c))) - base for c in changes]
-    good = [i for i, r in enumerate(responses) if np.isfinite(r).all()]
-    kept = (
-        principal([changes[i] for i in good], np.stack([responses[i] for i in good], axis=1), LEFT, MOST)
-        if good
-        else []
-    )
-    return [moved(joint, mounting, change) for change in kept]
+    good = [(change, r) for change, r in zip(changes, responses, strict=True) if np.isfinite(r).all()]
+    if not good:
+        return []
+    changes, responses = (list(x) for x in zip(*good, strict=True))
+    return [moved(joint, mounting, c) for c in principal(changes, np.stack(responses, axis=1), LEFT, MOST)]
 
 
 def _torques(signals: Signals, known: KnownJoint) -> np.ndarray:

@@ -141,10 +141,7 @@ class ClosedLoop:
         controller = np.concatenate([one.controller for one in joints])
         drive = np.zeros((len(joints), 3))
         drive[:, 0] = controller["gear"] * start
-        crosstalk = np.zeros((len(joints), 6, 6))
-        for i, one in enumerate(joints):
-            if one.crosstalk is not None:
-                crosstalk[i] = one.crosstalk
+        crosstalk = np.stack([np.zeros((6, 6)) if one.crosstalk is None else one.crosstalk for one in joints])
         self._alive = model, data, steps, kept  # keep alive: compiled code uses their addresses
         self._constant = (
             native.function_address("mj_step"), model._address, data._address,

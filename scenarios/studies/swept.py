@@ -15,9 +15,9 @@ from ...models.notebook import shortened
 from ..scenario import Scenario
 from .dataset import Dataset
 from .design import Design
-from .rows import versions
 from .statistics import Aggregate, aggregate, summary_rows
 from .study import Study, load_study, shipped_studies
+from .sweep import versions
 
 if TYPE_CHECKING:
     import pandas as pd
