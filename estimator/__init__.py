@@ -12,16 +12,6 @@ from .registry import get, names
 from .tuning_parameters import TuningParameter
 
 __all__ = [
-    "CausalEstimator",
-    "Estimator",
-    "FilterDiverged",
-    "KnownJoint",
-    "PaperFilter",
-    "Posterior",
-    "SensorNoise",
-    "TuningParameter",
-    "get",
-    "measurement_variance",
-    "names",
-    "step_of",
-]
+    "CausalEstimator", "Estimator", "FilterDiverged", "KnownJoint", "PaperFilter", "Posterior", "SensorNoise", "TuningParameter",
+    "get", "measurement_variance", "names", "step_of",
+]  # fmt: skip

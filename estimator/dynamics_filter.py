@@ -101,7 +101,9 @@ def _step(m, s, link_position, dt, c, p, unscented):
         if unscented:
             predict_unscented(m, command, dt, heat, noise, c.kappa, p)
         else:
-            predict_extended(m, command, dt, heat, noise, p)
+            linearise(m, command, dt, heat, noise, p)
+            x[:] = m.points[0]
+            propagate(m.F, P, m.A, int(noise.count), int(noise.count))
         x[EXTERNAL] -= arm_torque(s)
         add_noise(m, P, dt, noise)
         m.current = model.next_current(m.current, command, dt, p)
@@ -189,15 +191,6 @@ def write_out(m, torque, variance, o):
     o.bristle, o.link_position, o.link_velocity, o.flexible_position, o.flexible_velocity = x[4], x[5], x[6], x[7], x[8]
     o.external_torque, o.mesh_torque, o.stiffness, o.motor_constant, o.hysteresis = x[9], x[10], x[11], x[12], x[13]
     return OK if math.isfinite(torque + variance) else NOT_FINITE
-
-
-@kernel
-def predict_extended(m, command, dt, heat, noise, p):
-    """Predict state and covariance over `dt` [s] by a Jacobian."""
-    n = int(noise.count)
-    linearise(m, command, dt, heat, noise, p)
-    m.x[:] = m.points[0]
-    propagate(m.F, m.P, m.A, n, n)
 
 
 @kernel
@@ -320,7 +313,7 @@ def measure(m, motor_position, link_position, time, noise, p):
     m.e[0], m.S[0] = by_motor(m, x, m.P, motor_position, noise, p)
     m.motor_ratio = noise.memory * m.motor_ratio + (1.0 - noise.memory) * m.e[0] ** 2 / m.S[0]
     predicted = model.read_link(x, time, p)
-    H[MOTOR], H[LINK] = 0.0, _slope_of_link(x, predicted, time, p)
+    H[MOTOR], H[LINK] = 0.0, slope_of_link(x, predicted, time, p)
     m.e[1] = link_position - predicted
     m.S[1] = update(x, P, active, H[:n], m.e[1], noise.link_variance, noise.link_step, m.PH)
     m.S[1] += noise.link_step**2 / 12.0
@@ -348,7 +341,8 @@ def _slope_of_motor(x, reading, p):
 
 
 @kernel
-def _slope_of_link(x, reading, time, p):
+def slope_of_link(x, reading, time, p):
+    """Return the derivative of the link encoder's reading [rad] at a state by the link's angle."""
     x[LINK] += _DIFFERENCE
     slope = (model.read_link(x, time, p) - reading) / _DIFFERENCE
     x[LINK] -= _DIFFERENCE

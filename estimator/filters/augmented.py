@@ -386,13 +386,6 @@ def _flank(torsion, p):
 
 
 @kernel
-def _softness(torque, p):
-    """Return the compliance of the wave generator [rad/(N·m), motor side] at a torque [N·m, motor side]: Eq. (4)
-    inverted."""
-    return math.exp(-p.Cw * abs(torque)) / p.Kw0
-
-
-@kernel
 def _new_count(m, c):
     """Reset the position within the motor encoder's count."""
     m.x[COUNT] = 0.0
@@ -524,7 +517,8 @@ def _step(m, s, p, c, o):
     # Torsion.
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
     wound, asked = laws.wave_generator_torsion(x[WOUND], p), laws.wave_generator_torsion(found.motor_torque, p)
-    torsion, soft, zero = found.torsion + (asked - wound) * ratio, _softness(x[WOUND], p), x[ZERO]
+    soft = math.exp(-p.Cw * abs(x[WOUND])) / p.Kw0  # compliance of the wave generator: Eq. (4) inverted
+    torsion, zero = found.torsion + (asked - wound) * ratio, x[ZERO]
     e, K = _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c)
     # If constants are learned: about the resulting zero (an iterated update, Bell and Cathey 1993).
     for _ in range(_TRIES if learn_torsion < math.inf else 0):
@@ -634,17 +628,13 @@ class Augmented(CausalEstimator):
         c["loose"] = (_LOOSE * scale) ** 2
         c["external_quiet"], c["external_loud"] = self.external * scale, self.push * scale
         c["level"], c["level_loud"] = math.hypot(self.level, self.unsure * joint.friction) * Fc, self.surge * Fc
-        c["level_time"] = _LEVEL_TIME
-        c["free"], c["gate"], c["back"] = self.free * scale, self.gate, self.back
-        c["memory"], c["low"], c["high"] = self.memory, self.low, self.high
-        c["least"] = self.least * scale
+        c["level_time"], c["free"], c["least"] = _LEVEL_TIME, self.free * scale, self.least * scale
+        for name in ("gate", "back", "memory", "low", "high", "settled", "pause", "every", "wait"):
+            c[name] = getattr(self, name)
         c["wander"], c["half"] = joint.link_wander, 0.5 * noise.motor_resolution
         c["stiffest"] = min(_BEYOND * p["Cw"] * joint.rated_torque / p["N"], -math.log(laws.LOGARITHM_END))
         c["sliding"] = 2.5 * p["vs"]
-        c["settled"], c["coarse"] = self.settled, (self.coarse * scale) ** 2
-        c["interval"] = interval
-        c["pause"], c["every"] = self.pause, self.every
-        c["wait"] = self.wait
+        c["coarse"], c["interval"] = (self.coarse * scale) ** 2, interval
         if joint.load_error > 0.0:  # an unknown load is a persistent contact that includes pushes
             c["external_quiet"], c["external_loud"], c["wait"] = _CARRIED * joint.load_error, 0.0, math.inf
         prior = c["prior"]

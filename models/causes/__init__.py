@@ -56,15 +56,6 @@ def origin(name: str) -> Origin:
 
 
 __all__ = [
-    "COMPONENTS",
-    "Cause",
-    "CauseParameter",
-    "Requirements",
-    "get",
-    "names",
-    "of",
-    "offered",
-    "origin",
-    "put_discrepancy",
+    "COMPONENTS", "Cause", "CauseParameter", "Requirements", "get", "names", "of", "offered", "origin", "put_discrepancy",
     "spline_through",
-]
+]  # fmt: skip
