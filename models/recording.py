@@ -31,7 +31,7 @@ from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel
 from .payload import CarriedMass, load_of
-from .signals import CHANNELS, DRIVING, POSITIONS, Signals
+from .signals import CHANNELS, DRIVING, POSITIONS, Signals, at_samples
 from .tables import reading_parquet, write_table
 from .text_tables import TextTable
 
@@ -183,12 +183,7 @@ class Recording:
 
     def at(self, samples: slice | np.ndarray, time: np.ndarray | None = None) -> Recording:
         """Return the recording at some of its samples, by default with their own time stamps [s]."""
-        columns = {name: values[samples] for name, values in self.columns.items()}
-        arm = None if self.arm is None else self.arm.at(samples)
-        load = None if self.load is None else self.load.at(samples)
-        logged = None if self.logged is None or time is not None else self.logged[samples]
-        time = self.time[samples] if time is None else time
-        return replace(self, time=time, columns=columns, arm=arm, load=load, logged=logged)
+        return at_samples(self, samples, **({} if time is None else {"time": time, "logged": None}))
 
     @property
     def stamps(self) -> np.ndarray:

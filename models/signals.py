@@ -7,7 +7,7 @@ A sensor's channel is one entry here, with its field of `joint_parts.Sensors` (n
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -112,12 +112,15 @@ class Signals(Mapping[str, np.ndarray]):
 Sampled = TypeVar("Sampled")
 
 
-def at_samples(record: Sampled, samples: slice | np.ndarray) -> Sampled:
-    """Return a dataclass with its arrays, also those in mappings by name, shape (n, …) each, at some of the samples."""
+def at_samples(record: Sampled, samples: slice | np.ndarray, **others: Any) -> Sampled:
+    """Return a dataclass with its arrays, also those in mappings by name and in dataclasses inside it, shape (n, …) each, at
+    some of the samples; `others`: fields with another value."""
     found: dict[str, Any] = {}
     for name, value in ((f.name, getattr(record, f.name)) for f in fields(record)):  # type: ignore[arg-type]
         if isinstance(value, np.ndarray):
             found[name] = value[samples]
         elif isinstance(value, Mapping):
             found[name] = {key: x[samples] for key, x in value.items()}
-    return replace(record, **found)  # type: ignore[type-var]
+        elif is_dataclass(value):
+            found[name] = at_samples(value, samples)
+    return replace(record, **found | others)  # type: ignore[type-var]

@@ -34,14 +34,8 @@ class JointInArm(Scenario):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     """Name in the arm (with `model`: of its hinge), of its folder, and of the column of its angle in the others' recordings."""
     length: Annotated[float, Field(gt=0, le=10, description="from its axis to the next axis, m")] = 0.4
-    turn: Annotated[
-        float,
-        Field(
-            ge=-math.pi,
-            le=math.pi,
-            description="turn of its axis about the link before it, relative to the axis before, rad",
-        ),
-    ] = 0.0
+    turn: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
+    """Turn of its axis about the link before it, relative to the axis before, rad."""
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
