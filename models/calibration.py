@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from .joint import Joint, Slot
-from .joint_parts import OPTIONAL_SYMBOLS, POSSIBLE, SYMBOLS, Mounting, Number, Order, may_be_zero
+from .joint_parts import OPTIONAL_SYMBOLS, POSSIBLE, SYMBOLS, Mounting, Number, Order
 from .parameters import N_ORDERS, as_floats, short_way
 
 CUT = 2.5  # largest number of standard deviations of a drawn variable
@@ -181,8 +181,9 @@ def _limits(slot: Slot) -> tuple[float, float]:
         return _LEAST_SHARE * slot.number.value, np.inf
     if slot.field not in SYMBOLS | OPTIONAL_SYMBOLS:
         return -np.inf, np.inf
-    least, most = POSSIBLE.get(slot.name, (0.0, np.inf))
-    return (0.0 if may_be_zero(slot.name) else max(least, _LEAST_SHARE * slot.number.value)), most
+    _, zero = (SYMBOLS | OPTIONAL_SYMBOLS)[slot.field]
+    least, most = POSSIBLE.get(slot.field, (0.0, np.inf))
+    return (0.0 if zero else max(least, _LEAST_SHARE * slot.number.value)), most
 
 
 UNKNOWN_PHASE = 1.5

@@ -168,15 +168,9 @@ def _div(builder: Any, x: Any, dx: Any, y: Any, dy: Any) -> tuple[Any, Any]:
 
 
 _OPERATIONS: dict[Any, Callable[..., tuple[Any, Any]]] = {
-    operator.add: _add,
-    operator.iadd: _add,
-    operator.sub: _sub,
-    operator.isub: _sub,
-    operator.mul: _mul,
-    operator.imul: _mul,
-    operator.truediv: _div,
-    operator.itruediv: _div,
-}
+    operator.add: _add, operator.iadd: _add, operator.sub: _sub, operator.isub: _sub, operator.mul: _mul,
+    operator.imul: _mul, operator.truediv: _div, operator.itruediv: _div,
+}  # fmt: skip
 _COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">="}
 _PAIRS = ((Dual, Dual), (Dual, types.Float), (types.Float, Dual), (Dual, types.Integer), (types.Integer, Dual))
 

@@ -38,11 +38,6 @@ motor (default 1). `knee_width`: half the torsion over which the stiffness chang
 at which friction is stated (25 °C)."""
 
 
-def may_be_zero(symbol: str) -> bool:
-    """Return whether a number of a joint may be zero. None may be negative."""
-    return (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][1]
-
-
 UNREAD = {
     ("motor_encoder", "zero"): "angles count from its zero, and link_encoder.zero is the other's against it",
     ("motor_current", "gain"): "a torque that the current means at another scale is another Kt",
