@@ -12,8 +12,6 @@ import math
 import threading
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from functools import cache
-from importlib import metadata
 from itertools import islice
 from typing import Any
 
@@ -26,17 +24,12 @@ from ...estimator.errors import FilterDiverged
 from ...models.errors import InputError
 from ..experiment import Experiment, signals_of
 from ..run import reference_of
+from ..run_folder import versions
 from .dataset import Chunk, Dataset
 from .design import Cell, Design
 
 _LARGEST_CHUNK = 16
 Done = Generator[tuple[Chunk, pa.Table], None, None]  # chunks with their rows, as they finish
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Return the versions of the packages that determine the bits of a row."""
-    return {name: metadata.version(name) for name in ("flexspline", "mujoco", "numpy", "scipy", "numba")}
 
 
 def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -> pa.Table | None:
