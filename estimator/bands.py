@@ -109,11 +109,8 @@ def disagreement(time: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.nda
 
 def _smoothed_square(x: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return the mean square around every sample, shape (n,). The filter's running sum may be slightly negative."""
-    return np.maximum(uniform_filter1d(x**2, _samples(time), mode="nearest"), 0.0)
-
-
-def _samples(time: np.ndarray) -> int:
-    return max(round(_AVERAGE * _rate(time)), 1)
+    samples = max(round(_AVERAGE * _rate(time)), 1)
+    return np.maximum(uniform_filter1d(x**2, samples, mode="nearest"), 0.0)
 
 
 def _rate(time: np.ndarray) -> float:

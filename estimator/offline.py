@@ -92,10 +92,6 @@ class Prepared:
     def _plain(self) -> Signals:
         return _shifted(self.signals, self.lasting)
 
-    def lacks(self, estimator: Estimator) -> str | None:
-        """Return why an estimator cannot run here; None if it can."""
-        return _lacking(estimator, set(self.signals), self.measured)
-
     def ready(self, estimator: Estimator) -> Estimator:
         """Return an estimator scaled to joint and sampling, with W and bandwidth of this segment."""
         interval = interval_of(self.signals.time)
@@ -318,7 +314,8 @@ def _estimate(
     ready: Prepared, estimators: Mapping[str, Estimator], threads: int = 1
 ) -> tuple[dict[str, _Estimate], dict[str, str]]:
     """Return the estimates of a segment by name, and the reason of every missing one; `threads`: estimators at a time."""
-    reasons = {name: why for name, e in estimators.items() if (why := ready.lacks(e)) is not None}
+    there, measured = set(ready.signals), ready.measured
+    reasons = {name: why for name, e in estimators.items() if (why := _lacking(e, there, measured)) is not None}
 
     def one(estimator: Estimator) -> _Estimate:
         found = ready.ready(estimator).torques(ready.read_by(estimator), ready.known)

@@ -244,7 +244,7 @@ def _addresses(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> np.nd
     for name in _FIELDS:
         at[name] = native.offsets()[name]
     motor = model.actuator(prefix + "motor").id
-    at["current"] = plant.activation(model, prefix + "motor") if model.actuator_actnum[motor] else -1
+    at["current"] = model.actuator_actadr[motor] if model.actuator_actnum[motor] else -1
     at["memory"] = model.plugin_stateadr[plant.instance(model, prefix)]
     at["force"], at["torque"] = (model.sensor(prefix + name).adr[0] for name in ("force", "torque"))
     at["link_body"] = model.site(prefix + "force_torque").bodyid[0]
