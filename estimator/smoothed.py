@@ -108,10 +108,8 @@ def _motor_positions(reading, record):
 
 @kernel
 def _link_positions(reading, motor, since, record):
-    out = np.empty(len(reading))
-    for i in range(len(out)):
-        out[i] = dynamics.actual_link_position(reading[i], motor[i], 0.0, since[i], record[0])
-    return out
+    p = record[0]
+    return np.array([dynamics.actual_link_position(reading[i], motor[i], 0.0, since[i], p) for i in range(len(since))])
 
 
 def bandwidth(signals: Signals, joint: KnownJoint, quiet: float = QUIET) -> float:

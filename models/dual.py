@@ -481,11 +481,10 @@ def _memory(kind: Callable[[Any], _Memory], shaped: Callable[[Any], bool]) -> An
     return intrinsic(typed)
 
 
-def _of_records(values: Any) -> bool:
-    return values.ndim == 1 and isinstance(values.dtype, types.Record)
-
-
-dual_records = _memory(lambda values: DualRecords(values.dtype), _of_records)
+dual_records = _memory(
+    lambda values: DualRecords(values.dtype),
+    lambda values: values.ndim == 1 and isinstance(values.dtype, types.Record),
+)
 """`dual_records(values, tangents)` in a kernel: writable records of dual numbers. Values: shape (n,), records of
 float64 fields; tangents: shape (n, fields, LANES), both C-contiguous."""
 

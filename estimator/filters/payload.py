@@ -121,8 +121,7 @@ class PayloadSmoothed(Estimator):
         own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
         own -= smoothed.arm_torque(motion, signals)
         x = observe(joint, motion.every(DECIMATION), own[::DECIMATION], current)
-        known, grid, external = np.array(x[:4]), motion.time, np.empty(len(own))
-        _external_torques(known, motion.link_position, motion.link_acceleration, external)
+        grid, external = motion.time, _external_torques(np.array(x[:4]), motion.link_position, motion.link_acceleration)
         del motion
         own -= external
         torque, external = (np.interp(signals.time, grid, values) for values in (own, external))
@@ -151,9 +150,8 @@ def observe(joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray, current
 
 
 @kernel
-def _external_torques(x, link, a, out):
-    for i in range(len(out)):
-        out[i] = external_torque(x, link[i], a[i])
+def _external_torques(x, link, a):
+    return np.array([external_torque(x, link[i], a[i]) for i in range(len(a))])
 
 
 @kernel
