@@ -12,9 +12,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from flexspline.models.files import write_rows
 from flexspline.scenarios.studies.dataset import Dataset
 from flexspline.scenarios.studies.design import Design
-from flexspline.scenarios.studies.statistics import Aggregate, aggregate, read_csv, write_csv
+from flexspline.scenarios.studies.statistics import Aggregate, aggregate, read_csv, summary_rows
 from flexspline.scenarios.studies.study import Study, Value, load_study
 from flexspline.scenarios.studies.sweep import sweep, versions
 from flexspline.views.figures.sheet import save
@@ -131,7 +132,11 @@ def write(name: str, dataset: Dataset, design: Design, whole: Design, page: Path
     found = list(aggregate(dataset))
     runs = [len(dataset.read(cell.index, ["run"])) // len(design.variants) for cell in design.cells]
     fill(page, {f"{name} about": about([n for n in runs if n], sum(one.failed for one in found), whole)})
-    write_csv(found, design, page.with_name(f"study_{name}.csv"), DIGITS)
+    rows = (
+        {k: f"{v:.{DIGITS}g}" if isinstance(v, float) else v for k, v in row.items()}
+        for row in summary_rows(found, design)
+    )
+    write_rows(page.with_name(f"study_{name}.csv"), list(rows))
     write_page(name, found, design, page)
 
 

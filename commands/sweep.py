@@ -15,8 +15,7 @@ from ._console import console, progress
 from ._options import AsJson, Jobs, shipped, with_plugins
 
 if TYPE_CHECKING:
-    from ..scenarios.studies.swept import Swept
-    from ..scenarios.studies.worst import WorstRun
+    from ..scenarios.studies.swept import Swept, WorstRun
 
 EXAMPLES = (
     "flexspline sweep noise_and_load --seeds 3 --out sweep",

@@ -4,7 +4,7 @@
 """
 
 from ..models.step import step_of
-from .compliance import Compliance, compliance, measurement_variance
+from .compliance import measurement_variance
 from .errors import FilterDiverged
 from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise
 from .filters.paper import PaperFilter
@@ -12,18 +12,6 @@ from .registry import get, names
 from .tuning_parameters import TuningParameter
 
 __all__ = [
-    "CausalEstimator",
-    "Compliance",
-    "Estimator",
-    "FilterDiverged",
-    "KnownJoint",
-    "PaperFilter",
-    "Posterior",
-    "SensorNoise",
-    "TuningParameter",
-    "compliance",
-    "get",
-    "measurement_variance",
-    "names",
-    "step_of",
-]
+    "CausalEstimator", "Estimator", "FilterDiverged", "KnownJoint", "PaperFilter", "Posterior", "SensorNoise", "TuningParameter",
+    "get", "measurement_variance", "names", "step_of",
+]  # fmt: skip

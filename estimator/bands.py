@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -49,15 +49,6 @@ Run = Callable[[Signals, KnownJoint], Mapping[Key, np.ndarray]]
 """Estimates of one segment by any key, shape (n,) each, from its signals and the known joint."""
 
 
-@dataclass(frozen=True)
-class _Errors:
-    """Sizes of errors [N·m at the output], shape (n,) each: of current and torsion beyond the laws, of friction near rest."""
-
-    current: np.ndarray
-    torsion: np.ndarray
-    friction: np.ndarray
-
-
 def deviations(
     estimated: Mapping[Key, np.ndarray],
     signals: Signals,
@@ -65,10 +56,9 @@ def deviations(
     joint: Joint,
     mounting: Mounting,
     run: Run[Key],
-    threads: int = 2,
 ) -> dict[Key, np.ndarray]:
     """Return the standard deviation of every estimate of a segment, shape (n,) each, as `estimated`, what `run` gives
-    for its signals. `joint`: the description of what is `known`, in `mounting`; `threads`: for the cases."""
+    for its signals. `joint`: the description of what is `known`, in `mounting`."""
     signals, rng = smoothed.in_amperes(signals, known), np.random.default_rng(_SEED)
     time, probes = signals.time, dict[str, float]()
     noisy = _noisier(signals, known, rng)
@@ -87,7 +77,7 @@ def deviations(
     probes["friction"] = _PROBED * float(known.p["N"] * known.p["Fc"])
     cases.append((few, known.with_numbers(Fc=(1 + _PROBED) * known.p["Fc"], Fs=(1 + _PROBED) * known.p["Fs"])))
     cases += [(few, replace(known, record=record)) for record in _principal(few, known, joint, mounting)]
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPoolExecutor(2) as pool:
         again, base, *done = pool.map(lambda case: run(*case), [(noisy, known), *cases])
     found = {}
     for name, values in estimated.items():
@@ -96,7 +86,7 @@ def deviations(
         variance = _smoothed_square(noise, time)
         for one, (error, size) in zip(change, probes.items(), strict=False):
             gain = float(np.sqrt(np.mean(one**2))) / max(size, 1e-12)
-            variance = variance + (gain * getattr(errors, error)) ** 2
+            variance = variance + (gain * errors[error]) ** 2
         by_numbers = sum((one**2 for one in change[len(probes) :]), np.zeros(len(few.time)))
         found[name] = np.sqrt(variance + np.interp(time, few.time, by_numbers))
     return found
@@ -119,11 +109,8 @@ def disagreement(time: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.nda
 
 def _smoothed_square(x: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return the mean square around every sample, shape (n,). The filter's running sum may be slightly negative."""
-    return np.maximum(uniform_filter1d(x**2, _samples(time), mode="nearest"), 0.0)
-
-
-def _samples(time: np.ndarray) -> int:
-    return max(round(_AVERAGE * _rate(time)), 1)
+    samples = max(round(_AVERAGE * _rate(time)), 1)
+    return np.maximum(uniform_filter1d(x**2, samples, mode="nearest"), 0.0)
 
 
 def _rate(time: np.ndarray) -> float:
@@ -135,13 +122,11 @@ def _principal(signals: Signals, known: KnownJoint, joint: Joint, mounting: Moun
     changes = independent_changes(joint)
     base = _torques(signals, known)
     responses = [_torques(signals, replace(known, record=moved(joint, mounting, c))) - base for c in changes]
-    good = [i for i, r in enumerate(responses) if np.isfinite(r).all()]
-    kept = (
-        principal([changes[i] for i in good], np.stack([responses[i] for i in good], axis=1), LEFT, MOST)
-        if good
-        else []
-    )
-    return [moved(joint, mounting, change) for change in kept]
+    good = [(change, r) for change, r in zip(changes, responses, strict=True) if np.isfinite(r).all()]
+    if not good:
+        return []
+    changes, responses = (list(x) for x in zip(*good, strict=True))
+    return [moved(joint, mounting, c) for c in principal(changes, np.stack(responses, axis=1), LEFT, MOST)]
 
 
 def _torques(signals: Signals, known: KnownJoint) -> np.ndarray:
@@ -169,7 +154,9 @@ def motion_and_load(signals: Signals, known: KnownJoint) -> tuple[smoothed.Motio
     return motion, smoothed.own_torque(motion, known)
 
 
-def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
+def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> dict[str, np.ndarray]:
+    """Return the sizes of errors [N·m at the output], shape (n,) each: of current and torsion beyond the laws, of friction near
+    rest."""
     motion, load = motion_and_load(signals, known)
     inflation, stated = np.ones(len(motion.time)), {}
     if joint.uncertainty is not None:
@@ -185,7 +172,8 @@ def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
     torsion = max(stated.get("joint_torque", 0.0), stated.get("link_balance", 0.0)) * inflation
     # Torque follows from torsion up to the hysteresis, which may be anything between its ends.
     torsion = np.hypot(torsion, p["hysteresis_torque"] / np.sqrt(3))
-    return _Errors(*(motion.at(signals.time, x) for x in (current, torsion, near_rest)))
+    sizes = {"current": current, "torsion": torsion, "friction": near_rest}
+    return {name: motion.at(signals.time, size) for name, size in sizes.items()}
 
 
 def _wave(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:

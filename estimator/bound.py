@@ -31,7 +31,7 @@ import numpy as np
 from ..models.errors import InputError
 from ..models.kernels import kernel
 from . import joint_model as model
-from .dynamics_filter import propagate
+from .dynamics_filter import propagate, slope_of_link
 from .estimator import KnownJoint, SensorNoise
 from .joint_model import DAHL, LINK, LINK_RATE, MESH, MOTOR, SIZE, ProcessNoise
 from .quantised import update as condition
@@ -78,13 +78,11 @@ def joint_bound(
         everything is known exactly.
 
     Raises:
-      InputError: a wrong intensity, or shapes that do not match.
+      InputError: a wrong intensity.
     """
     joint = KnownJoint(record, noise)
     if not (np.isfinite(intensity) and intensity >= 0.0):
         raise InputError(f"bound: intensity [N·m/√s]: expected a finite number ≥ 0, got {intensity!r}")
-    if states.shape != (len(time), SIZE):
-        raise InputError(f"bound: states: expected shape ({len(time)}, {SIZE}), got {states.shape}")
     process = replace(
         QUIET, external=intensity / float(joint.p["T2"]), push=0.0, mesh_push=0.0, torque=0.0, bristle=0.0
     )
@@ -131,9 +129,7 @@ def _along(time, states, current, command, temperature, record, others, random, 
                 H[m + j] = model.read_motor(x, others[j]) - motor
             condition(unmoved, P, every, H, 0.0, noise.motor_variance, 0.0, PH)
             reading = model.read_link(x, time[k], p)
-            x[LINK] += 1e-5
-            slope = (model.read_link(x, time[k], p) - reading) / 1e-5
-            x[LINK] -= 1e-5
+            slope = slope_of_link(x, reading, time[k], p)
             H[MOTOR], H[LINK], H[LINK_RATE] = 0.0, slope, -p.link_delay * slope
             for j in range(len(others)):
                 H[m + j] = model.read_link(x, time[k], others[j]) - reading
@@ -190,25 +186,16 @@ def _jacobian(at, current, command, time, dt, temperature, p, others, noise, F, 
             F[i, m + j] = high[state] - low[state]
 
 
-def random_walk_bound(W, V, P0: float) -> np.ndarray:
+@kernel
+def random_walk_bound(W, V, P0):
     """Return the bound, shape (T,), for a random walk seen directly: x(k+1) = x(k) + w, y = x + v, variances W per step
     and V(k), shape (T,); `P0`: variance at step 0.
 
     This is the limit of the paper's model, F = H = 1. For constant W, V it settles at the positive root of P² + W P − W
     V = 0.
     """
-    V = np.ascontiguousarray(V, dtype=np.float64)
-    if not (np.all(V > 0.0) and W >= 0.0 and P0 >= 0.0):
-        raise InputError("bound: expected W ≥ 0, P0 ≥ 0 and V > 0 everywhere")
-    out = np.empty(len(V))
-    _random_walk(float(W), V, float(P0), out)
-    return out
-
-
-@kernel
-def _random_walk(W, V, P, out):
-    out[0] = P
+    out = np.full(len(V), P0)
     for k in range(1, len(V)):
-        P += W
-        P *= V[k] / (P + V[k])
-        out[k] = P
+        P = out[k - 1] + W
+        out[k] = P * (V[k] / (P + V[k]))
+    return out

@@ -1,7 +1,7 @@
 """The harmonic-drive compliance model, Eqs. (1)-(7): joint torque from two encoders and the motor torque.
 
-`compliance` is the paper's model over arrays: Eqs. (1), (5), (6), (7). `measure` is the same per sample, inside every
-estimator based on torsion, with the further effects of a joint's record:
+`measure` is the paper's model, Eqs. (1), (5), (6), (7), per sample, inside every estimator based on torsion, with the further
+effects of a joint's record:
 
 * **encoders**: zero and orders of the link encoder, eccentricity of the motor encoder, model discrepancies of the
   link encoder;
@@ -18,14 +18,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from ..models import dynamics, laws
 from ..models.dynamics import UNREAD, State
-from ..models.errors import InputError
 from ..models.kernels import kernel
-from ..models.parameters import PARAMETERS
+from ..models.parameters import floats
 from .estimator import KnownJoint
 from .sensing import LOWPASS, RING, VELOCITY, line_in_ring, lowpass, motor_current, place_in_ring
 
@@ -34,12 +30,9 @@ _HYSTERESIS = 2.0 * math.pi * 70.0
 """Low-pass [rad/s] of the torsion that drives the hysteresis. A higher one lets counts wear the state away; a lower
 one misses vibrations."""
 
-TORSION = np.dtype(
-    [
-        ("torque", np.float64), ("dahl", np.float64), ("count", np.float64),
-        ("motor", LOWPASS), ("slow", LOWPASS),
-        *((name, np.float64, RING) for name in ("time", "motor_position", "motor_torque", "velocity", "torsion")),
-    ]
+TORSION = floats(
+    "torque", "dahl", "count", ("motor", LOWPASS), ("slow", LOWPASS),
+    ("time", RING), ("motor_position", RING), ("motor_torque", RING), ("velocity", RING), ("torsion", RING),
 )  # fmt: skip
 """Memory of `measure`: last torque [N·m], Dahl state [rad], number of samples, rotor and torsion through low-passes,
 and a ring of past samples for a delayed link encoder."""
@@ -142,72 +135,8 @@ def measurement_variance(
       torque_noise: noise of the motor torque used for Tw [N·m rms, motor side]: zero for an exact command,
         Kt·(current noise) for a measured current.
       wave_generator_stiffness: Kw0 [N·m/rad, motor side]; under load, Eq. (3), it is higher and the noise smaller.
-
-    Raises:
-      InputError: a negative or non-finite argument, or a stiffness or ratio of zero.
     """
-    arguments = {
-        "stiffness [N·m/rad]": stiffness, "motor_resolution [rad]": motor_resolution,
-        "link_resolution [rad]": link_resolution, "link_noise [rad]": link_noise,
-        "motor_noise [rad]": motor_noise, "ratio [1]": ratio, "torque_noise [N·m]": torque_noise,
-    }  # fmt: skip
-    for field, value in arguments.items():
-        positive = field.startswith(("stiffness", "ratio"))
-        if not (math.isfinite(value) and value >= 0.0) or (positive and value == 0.0):
-            wanted = "> 0" if positive else "≥ 0"
-            raise InputError(f"measurement_variance: {field}: expected a finite number {wanted}, got {value!r}")
-    if not wave_generator_stiffness > 0.0:
-        raise InputError(
-            f"measurement_variance: wave_generator_stiffness [N·m/rad]: expected a number > 0, "
-            f"got {wave_generator_stiffness!r}"
-        )
     motor = (motor_resolution**2 / 12.0 + motor_noise**2) / ratio**2
     link = link_resolution**2 / 12.0 + link_noise**2
     wave_generator = (torque_noise / (ratio * wave_generator_stiffness)) ** 2
     return stiffness**2 * (motor + link + wave_generator)
-
-
-class Compliance(NamedTuple):
-    """Result of the compliance model; every array has the shape of the readings."""
-
-    torsion: np.ndarray  # Δθ, Eq. (1) [rad]
-    wave_generator_torsion: np.ndarray  # Δθw, Eq. (5) [rad, motor side]
-    kinematic_error: np.ndarray  # θerr at θw [rad]
-    flexspline_torsion: np.ndarray  # Δθf, Eq. (6) [rad]
-    torque: np.ndarray  # Tf, Eq. (7) [N·m]
-
-
-def compliance(
-    motor_position: ArrayLike, link_position: ArrayLike, motor_torque: ArrayLike, calibration: np.ndarray
-) -> Compliance:
-    """Evaluate the compliance model over arrays of readings that broadcast: motor encoder θm [rad, motor side], link
-    encoder θl [rad], motor torque command [N·m, motor side], used for Tw. `calibration`: a record of
-    `models.parameters.PARAMETERS`, shape (1,). Raises `InputError`: shapes that do not match, values that are not
-    numbers, or a wrong record."""
-    try:
-        given = [np.asarray(a, dtype=np.float64) for a in (motor_position, link_position, motor_torque)]
-        readings = np.broadcast_arrays(*given)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"compliance model: expected arrays of numbers of one shape for motor position [rad], link position [rad] "
-            f"and motor torque [N·m], got {error}"
-        ) from error
-    if getattr(calibration, "dtype", None) != PARAMETERS or calibration.shape != (1,):
-        got = f"{type(calibration).__name__} of shape {np.shape(calibration)}"
-        raise InputError(f"compliance model: calibration: expected a parameter record of shape (1,), got {got}")
-    shape = readings[0].shape
-    out = np.empty((5, readings[0].size))
-    _compliance(*(np.ascontiguousarray(a).reshape(-1) for a in readings), calibration, out)
-    return Compliance(*(row.reshape(shape) for row in out))
-
-
-@kernel
-def _compliance(motor_position, link_position, motor_torque, calibration, out):
-    p = calibration[0]
-    for i in range(motor_position.size):
-        link = link_position[i] - p.link_zero
-        torsion, theta_w = dynamics.measured_torsion(motor_position[i], link, motor_torque[i], p)
-        out[0, i] = motor_position[i] / p.N - link
-        out[1, i] = laws.wave_generator_torsion(motor_torque[i], p)
-        out[2, i], out[3, i] = laws.kinematic_error(theta_w, p), torsion
-        out[4, i] = laws.flexspline_spring(torsion, p)

@@ -290,12 +290,9 @@ def between(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _floors(joint: Joint, encoders: Sequence[str], columns: Mapping[str, np.ndarray]) -> list[float]:
     """Return each encoder's noise in motion with an exact clock [rad rms]: of its counts, and as described."""
-    found = []
     specs = {"motor_position": joint.sensors.motor_encoder, "link_position": joint.sensors.link_encoder}
-    for name in encoders:
-        spec = specs[name]
-        found.append(float(np.hypot(max(step_of(columns[name]), spec.resolution) / np.sqrt(12), spec.noise)))
-    return found
+    steps = [max(step_of(columns[name]), specs[name].resolution) for name in encoders]
+    return [float(np.hypot(q / np.sqrt(12), specs[name].noise)) for name, q in zip(encoders, steps, strict=True)]
 
 
 def _channel(recording: Recording, name: str, parts: Sequence[slice], repeated: float, joint: Joint) -> Quality:

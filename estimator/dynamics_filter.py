@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..models.dynamics import UNREAD
 from ..models.kernels import kernel
+from ..models.parameters import floats
 from ..models.step import NOT_FINITE, OK, SAMPLE
 from . import joint_model as model
 from .joint_model import EXTERNAL, LINK, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS, WAVE
@@ -31,29 +30,21 @@ POINTS = 2 * SIZE + 1
 _DIFFERENCE = 1e-5  # rad
 _STILL = 0.1  # time [s] at one count after which the position within it is unknown
 
-FILTER = np.dtype(
-    [
-        ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("current", np.float64), ("time", np.float64),
-        ("motor_ratio", np.float64), ("link_ratio", np.float64), ("reading", np.float64), ("still", np.float64),
-        ("predicted", np.float64, SIZE), ("predicted_P", np.float64, (SIZE, SIZE)), ("F", np.float64, (SIZE, SIZE)),
-        ("count", np.float64), ("done", np.float64), ("ring", SAMPLE, RING),
-        ("times", np.float64, RING), ("external", np.float64, RING),
-        ("now", np.float64, SIZE), ("now_P", np.float64, (SIZE, SIZE)), ("e", np.float64, 2), ("S", np.float64, 2),
-        ("points", np.float64, (POINTS, SIZE)), ("A", np.float64, (SIZE, SIZE)), ("work", np.float64, (3, SIZE)),
-        ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
-    ]
+FILTER = floats(
+    ("x", SIZE), ("P", (SIZE, SIZE)), "current", "time", "motor_ratio", "link_ratio", "reading", "still",
+    ("predicted", SIZE), ("predicted_P", (SIZE, SIZE)), ("F", (SIZE, SIZE)), "count", "done", ("ring", SAMPLE, RING),
+    ("times", RING), ("external", RING), ("now", SIZE), ("now_P", (SIZE, SIZE)), ("e", 2), ("S", 2),
+    ("points", (POINTS, SIZE)), ("A", (SIZE, SIZE)), ("work", (3, SIZE)), ("H", SIZE), ("PH", SIZE),
 )  # fmt: skip
 """Memory of the filter: state and covariance of the active states, motor current [A], time of the last sample [s];
 mean NIS of both encoders; the motor encoder's last reading [rad] and for how long it has been the same [s]; the
 prediction with its covariance and Jacobian, for a smoother; for a delayed link encoder the number of samples, of
 processed ones, a ring of them and of the external torque [N·m]; state and covariance now; innovations [rad] and
 their variances [rad²]; the rest is scratch."""
-SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])  # Noise, and κ, the spread of the sigma points
-OUT = np.dtype(
-    [(name, np.float64) for name in (
-        "torque", "variance", "innovation_motor_position", "innovation_link_position",
-        "innovation_variance_motor_position", "innovation_variance_link_position", *STATES,
-    )]
+SETTINGS = floats(("noise", NOISE), "kappa")  # Noise, and κ, the spread of the sigma points
+OUT = floats(
+    "torque", "variance", "innovation_motor_position", "innovation_link_position",
+    "innovation_variance_motor_position", "innovation_variance_link_position", *STATES,
 )  # fmt: skip
 
 
@@ -110,7 +101,9 @@ def _step(m, s, link_position, dt, c, p, unscented):
         if unscented:
             predict_unscented(m, command, dt, heat, noise, c.kappa, p)
         else:
-            predict_extended(m, command, dt, heat, noise, p)
+            linearise(m, command, dt, heat, noise, p)
+            x[:] = m.points[0]
+            propagate(m.F, P, m.A, int(noise.count), int(noise.count))
         x[EXTERNAL] -= arm_torque(s)
         add_noise(m, P, dt, noise)
         m.current = model.next_current(m.current, command, dt, p)
@@ -198,15 +191,6 @@ def write_out(m, torque, variance, o):
     o.bristle, o.link_position, o.link_velocity, o.flexible_position, o.flexible_velocity = x[4], x[5], x[6], x[7], x[8]
     o.external_torque, o.mesh_torque, o.stiffness, o.motor_constant, o.hysteresis = x[9], x[10], x[11], x[12], x[13]
     return OK if math.isfinite(torque + variance) else NOT_FINITE
-
-
-@kernel
-def predict_extended(m, command, dt, heat, noise, p):
-    """Predict state and covariance over `dt` [s] by a Jacobian."""
-    n = int(noise.count)
-    linearise(m, command, dt, heat, noise, p)
-    m.x[:] = m.points[0]
-    propagate(m.F, m.P, m.A, n, n)
 
 
 @kernel
@@ -329,7 +313,7 @@ def measure(m, motor_position, link_position, time, noise, p):
     m.e[0], m.S[0] = by_motor(m, x, m.P, motor_position, noise, p)
     m.motor_ratio = noise.memory * m.motor_ratio + (1.0 - noise.memory) * m.e[0] ** 2 / m.S[0]
     predicted = model.read_link(x, time, p)
-    H[MOTOR], H[LINK] = 0.0, _slope_of_link(x, predicted, time, p)
+    H[MOTOR], H[LINK] = 0.0, slope_of_link(x, predicted, time, p)
     m.e[1] = link_position - predicted
     m.S[1] = update(x, P, active, H[:n], m.e[1], noise.link_variance, noise.link_step, m.PH)
     m.S[1] += noise.link_step**2 / 12.0
@@ -357,7 +341,8 @@ def _slope_of_motor(x, reading, p):
 
 
 @kernel
-def _slope_of_link(x, reading, time, p):
+def slope_of_link(x, reading, time, p):
+    """Return the derivative of the link encoder's reading [rad] at a state by the link's angle."""
     x[LINK] += _DIFFERENCE
     slope = (model.read_link(x, time, p) - reading) / _DIFFERENCE
     x[LINK] -= _DIFFERENCE

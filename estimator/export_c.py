@@ -39,6 +39,13 @@ _BINARY = {
     operator.ge: ">=", operator.eq: "==", operator.ne: "!=", operator.and_: "&", operator.or_: "|", operator.iadd: "+",
     operator.isub: "-", operator.imul: "*",
 }  # fmt: skip
+_UNARY = {operator.not_: "!", operator.neg: "-"}
+_PREFIX = {
+    abs: "fabs", math.fabs: "fabs", float: "(double)", int: "(int64_t)", math.floor: "(int64_t)floor",
+    math.ceil: "(int64_t)ceil", math.isfinite: "0 != isfinite", np.isfinite: "0 != isfinite", math.isnan: "0 != isnan",
+    np.isnan: "0 != isnan", np.sign: "fs_sign",
+}  # fmt: skip
+"""C before the argument, in brackets, of functions of one argument."""
 _HELPERS = """
 typedef struct { double *p; int64_t n[2]; } fs_array;
 typedef struct { int64_t at, stop, step; } fs_range;
@@ -156,24 +163,20 @@ class _Unit:
             return "fs_range"
         if isinstance(kind, types.BaseTuple):
             members = [self.c_type(member) for member in kind.types]  # type: ignore[attr-defined]
-            name = f"{self.prefix}_tuple_" + "_".join(re.sub(r"\W+", "p", member) for member in members)
-            if name not in self.structures:
-                fields = " ".join(f"{member} f{i};" for i, member in enumerate(members))
-                self.structures[name] = f"typedef struct {{ {fields} }} {name};"
-            return name
+            name = "tuple_" + "_".join(re.sub(r"\W+", "p", member) for member in members)
+            return self._structure(name, " ".join(f"{member} f{i};" for i, member in enumerate(members)))
         if isinstance(kind, types.UniTupleIter):
-            name = self.c_type(kind.container) + "_iter"
-            self.structures.setdefault(
-                name, f"typedef struct {{ {self.c_type(kind.container)} t; int64_t at; }} {name};"
-            )
-            return name
+            inner = self.c_type(kind.container)
+            return self._structure(f"{inner.removeprefix(f'{self.prefix}_')}_iter", f"{inner} t; int64_t at;")
         if isinstance(kind, types.Pair):
-            name = f"{self.prefix}_pair_" + re.sub(r"\W+", "p", self.c_type(kind.first_type))
-            self.structures.setdefault(
-                name, f"typedef struct {{ {self.c_type(kind.first_type)} first; int second; }} {name};"
-            )
-            return name
+            first = self.c_type(kind.first_type)
+            return self._structure("pair_" + re.sub(r"\W+", "p", first), f"{first} first; int second;")
         raise InputError(f"export to C: expected numbers, records, arrays and tuples, got {kind}")
+
+    def _structure(self, name: str, fields: str) -> str:
+        name = f"{self.prefix}_{name}"
+        self.structures.setdefault(name, f"typedef struct {{ {fields} }} {name};")
+        return name
 
     def function(self, python: Callable[..., Any], arguments: tuple[Any, ...]) -> str:
         """The name of a function for argument types."""
@@ -291,36 +294,32 @@ class _Function:
 
     def _expression(self, target: ir.Var, e: ir.Expr) -> str | None:
         kind = self.types[target.name]
-        if e.op in ("binop", "inplace_binop"):
-            return self._binary(e, e.fn if e.op == "binop" else e.immutable_fn)
-        if e.op == "unary":
-            if e.fn is operator.not_:
-                return f"!{self.of(e.value)}"
-            return f"{'-' if e.fn is operator.neg else '+'}{self.of(e.value)}"
-        if e.op == "cast":
-            return None if self._nothing(kind) else self.of(e.value)
-        if e.op == "build_tuple":
-            if any(self._nothing(self.types[item.name]) for item in e.items):
-                return None
-            return f"({self.unit.c_type(kind)}){{{', '.join(self.of(item) for item in e.items)}}}"
-        if e.op in ("static_getitem", "getitem"):
-            return self._item(e)
-        if e.op == "getiter":
-            inner = self.types[e.value.name]
-            if isinstance(inner, types.BaseTuple):
+        match e.op:
+            case "binop" | "inplace_binop":
+                return self._binary(e, e.fn if e.op == "binop" else e.immutable_fn)
+            case "unary":
+                return f"{_UNARY.get(e.fn, '+')}{self.of(e.value)}"
+            case "cast":
+                return None if self._nothing(kind) else self.of(e.value)
+            case "build_tuple":
+                if any(self._nothing(self.types[item.name]) for item in e.items):
+                    return None
+                return f"({self.unit.c_type(kind)}){{{', '.join(self.of(item) for item in e.items)}}}"
+            case "static_getitem" | "getitem":
+                return self._item(e)
+            case "getiter" if isinstance(self.types[e.value.name], types.BaseTuple):
                 return f"({self.unit.c_type(kind)}){{{self.of(e.value)}, 0}}"
-            return self.of(e.value)
-        others: dict[str, Callable[[], str | None]] = {
-            "exhaust_iter": lambda: self.of(e.value),
-            "getattr": lambda: self._attribute(target, e),
-            "iternext": lambda: self._next(kind, e),
-            "pair_first": lambda: f"{self.of(e.value)}.first",
-            "pair_second": lambda: f"{self.of(e.value)}.second",
-            "call": lambda: self._call(target, e),
-        }
-        if e.op not in others:
-            raise self._none(e)
-        return others[e.op]()
+            case "getiter" | "exhaust_iter":
+                return self.of(e.value)
+            case "getattr":
+                return self._attribute(target, e)
+            case "iternext":
+                return self._next(kind, e)
+            case "pair_first" | "pair_second":
+                return f"{self.of(e.value)}.{e.op.removeprefix('pair_')}"
+            case "call":
+                return self._call(target, e)
+        raise self._none(e)
 
     def _next(self, kind: Any, e: ir.Expr) -> str:
         at, name = self.of(e.value), self.unit.c_type(kind)
@@ -404,18 +403,10 @@ class _Function:
             for other in arguments[1:]:
                 text = f"({other} {'<' if f is min else '>'} {text} ? {other} : {text})"
             return text
-        if f is abs or f is math.fabs:
-            return f"fabs({arguments[0]})"
         if f is bool:
             return f"{arguments[0]} != 0"
-        if f in (float, int):
-            return f"({'double' if f is float else 'int64_t'}){arguments[0]}"
-        if f in (math.floor, math.ceil):
-            return f"(int64_t){'floor' if f is math.floor else 'ceil'}({arguments[0]})"
-        if f in (math.isfinite, np.isfinite, math.isnan, np.isnan):
-            return f"({'isfinite' if f in (math.isfinite, np.isfinite) else 'isnan'}({arguments[0]}) != 0)"
-        if f is np.sign:
-            return f"fs_sign({arguments[0]})"
+        if f in _PREFIX:
+            return f"({_PREFIX[f]}({arguments[0]}))"
         name = getattr(f, "__name__", "")
         if name in _MATH and f in (getattr(math, name, None), getattr(np, name, None)):
             return f"{name}({', '.join(arguments)})"

@@ -32,6 +32,7 @@ import numpy as np
 from ..models import dynamics, laws
 from ..models.dynamics import UNREAD, State, Transmission
 from ..models.kernels import kernel
+from ..models.parameters import floats
 from .estimator import KnownJoint
 from .tuning_parameters import TuningParameter
 
@@ -51,14 +52,9 @@ _LONGEST = 0.5e-3  # s: substep
 _TURN = 0.8  # rad of the fastest mode per substep
 _MOST = 10.0  # substeps per _LONGEST
 
-NOISE = np.dtype(
-    [
-        ("count", np.float64), ("active", np.float64, SIZE), ("start", np.float64, SIZE), ("walk", np.float64, SIZE),
-        ("current_walk", np.float64), ("mesh_surge", np.float64), ("external_surge", np.float64),
-        ("motor_variance", np.float64), ("link_variance", np.float64),
-        ("motor_step", np.float64), ("link_step", np.float64),
-        ("mesh_time", np.float64), ("memory", np.float64), ("low", np.float64), ("high", np.float64),
-    ]
+NOISE = floats(
+    "count", ("active", SIZE), ("start", SIZE), ("walk", SIZE), "current_walk", "mesh_surge", "external_surge",
+    "motor_variance", "link_variance", "motor_step", "link_step", "mesh_time", "memory", "low", "high",
 )  # fmt: skip
 """Noise as a record for compiled code: number and indices of active states; diagonals of P(0) and of the noise per
 second; of the rotor's velocity for a current reading, and of d and τext while the encoders contradict; variance of

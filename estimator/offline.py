@@ -92,10 +92,6 @@ class Prepared:
     def _plain(self) -> Signals:
         return _shifted(self.signals, self.lasting)
 
-    def lacks(self, estimator: Estimator) -> str | None:
-        """Return why an estimator cannot run here; None if it can."""
-        return _lacking(estimator, set(self.signals), self.measured)
-
     def ready(self, estimator: Estimator) -> Estimator:
         """Return an estimator scaled to joint and sampling, with W and bandwidth of this segment."""
         interval = interval_of(self.signals.time)
@@ -189,9 +185,7 @@ def estimate_recording(
     left_out: dict[str, str] = {}
     untrusted: dict[str, str] = {}
     notes = []
-    for segment in recording.segments:
-        if segment.stop - segment.start < SHORTEST:
-            continue
+    for segment in _estimated(recording):
         signals = blind.part(segment)
         ready = prepare(signals, known)
         notes.append(ready.note | {"start": float(recording.stamps[segment.start])})
@@ -257,7 +251,11 @@ def _bands(
 
 def too_short(recording: Recording) -> bool:
     """Return whether nothing is estimated: no segment has `SHORTEST` samples."""
-    return all(segment.stop - segment.start < SHORTEST for segment in recording.segments)
+    return not _estimated(recording)
+
+
+def _estimated(recording: Recording) -> list[slice]:
+    return [segment for segment in recording.segments if segment.stop - segment.start >= SHORTEST]
 
 
 def lacking(recording: Recording, names: Sequence[str]) -> dict[str, str]:
@@ -291,9 +289,7 @@ def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
         return {}
     known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
     motions = []
-    for segment in recording.segments:
-        if segment.stop - segment.start < SHORTEST:
-            continue
+    for segment in _estimated(recording):
         motion, load = motion_and_load(recording.signals.part(segment), known)
         moving = np.abs(motion.motor_velocity) > MOVING * known.p["vs"]
         motions.append(np.stack([motion.link_position, motion.link_velocity, load])[:, moving])
@@ -318,7 +314,8 @@ def _estimate(
     ready: Prepared, estimators: Mapping[str, Estimator], threads: int = 1
 ) -> tuple[dict[str, _Estimate], dict[str, str]]:
     """Return the estimates of a segment by name, and the reason of every missing one; `threads`: estimators at a time."""
-    reasons = {name: why for name, e in estimators.items() if (why := ready.lacks(e)) is not None}
+    there, measured = set(ready.signals), ready.measured
+    reasons = {name: why for name, e in estimators.items() if (why := _lacking(e, there, measured)) is not None}
 
     def one(estimator: Estimator) -> _Estimate:
         found = ready.ready(estimator).torques(ready.read_by(estimator), ready.known)
@@ -628,18 +625,13 @@ def _tracked(
 
 @kernel
 def _wave_generator_torsion(torque, record):
-    p, out = record[0], np.empty(len(torque))
-    for i in range(len(out)):
-        out[i] = laws.wave_generator_torsion(torque[i] / p.N, p) / p.N
-    return out
+    p = record[0]
+    return np.array([laws.wave_generator_torsion(T / p.N, p) / p.N for T in torque])
 
 
 @kernel
 def _slow_friction(w, record):
-    out = np.empty(len(w))
-    for i in range(len(w)):
-        out[i] = slow_friction(w[i], record[0])
-    return out
+    return np.array([slow_friction(x, record[0]) for x in w])
 
 
 @kernel

@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from ..models.kernels import kernel
+from ..models.parameters import floats
 from ..models.step import NOT_FINITE, OK
 
 EKF, ROBUST, AREKF, RAREKF = 0, 1, 2, 3
@@ -25,19 +26,15 @@ MAX, PRINTED, INVERSE = 0, 1, 2
 ALPHAS = {"max": MAX, "printed": PRINTED, "inverse": INVERSE}
 """Readings of Eq. (23): max(1, kω²); min(kω², 1); max(1, 1/(kω²))."""
 
-SETTINGS = np.dtype(
-    [(name, np.float64) for name in (
-        "rule", "W", "V", "P0", "L", "inverse_gamma_squared", "k", "rho", "alpha", "printed_memory", "adjusted_covariance",
-    )]
-)  # fmt: skip
+SETTINGS = floats(
+    "rule", "W", "V", "P0", "L", "inverse_gamma_squared", "k", "rho", "alpha", "printed_memory", "adjusted_covariance"
+)
 """A filter's numbers as a record: of `RULES`; W, V, P(0), L; γ⁻² (zero is γ = ∞), k, ρ; of `ALPHAS`; whether Eq. (20)
 is as printed; whether P_Y of Eqs. (19), (25) is that of Σ."""
 
-STATE = np.dtype(
-    [(name, np.float64) for name in (
-        "torque", "variance", "innovation", "innovation_variance", "unadjusted_innovation_variance",
-        "innovation_memory_variance", "alpha", "f_alpha", "robust", "nis",
-    )]
+STATE = floats(
+    "torque", "variance", "innovation", "innovation_variance", "unadjusted_innovation_variance",
+    "innovation_memory_variance", "alpha", "f_alpha", "robust", "nis",
 )  # fmt: skip
 """Memory and outputs of a filter: X̂, P, Ỹ, P_Y of Eq. (14), P_Y of the unadjusted prediction, P̄_Y, α, f_α, mode,
 NIS."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..models import dynamics
 from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
+from ..models.parameters import floats
 
-LOWPASS = np.dtype([("value", np.float64), ("rate", np.float64), ("acceleration", np.float64)])
+LOWPASS = floats("value", "rate", "acceleration")
 """A low-passed signal, and its first two derivatives in time."""
 
 

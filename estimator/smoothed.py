@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..models import dynamics, laws
-from ..models.chunks import kept, large
+from ..models.chunks import kept, large, parts
 from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
 from ..models.motion import BLOCK, smooth
@@ -103,18 +103,13 @@ def link_positions(signals: Signals, joint: KnownJoint) -> np.ndarray:
 
 @kernel
 def _motor_positions(reading, record):
-    out = np.empty(len(reading))
-    for i in range(len(out)):
-        out[i] = dynamics.actual_motor_position(reading[i], record[0])
-    return out
+    return np.array([dynamics.actual_motor_position(x, record[0]) for x in reading])
 
 
 @kernel
 def _link_positions(reading, motor, since, record):
-    out = np.empty(len(reading))
-    for i in range(len(out)):
-        out[i] = dynamics.actual_link_position(reading[i], motor[i], 0.0, since[i], record[0])
-    return out
+    p = record[0]
+    return np.array([dynamics.actual_link_position(reading[i], motor[i], 0.0, since[i], p) for i in range(len(since))])
 
 
 def bandwidth(signals: Signals, joint: KnownJoint, quiet: float = QUIET) -> float:
@@ -136,20 +131,14 @@ def bandwidth(signals: Signals, joint: KnownJoint, quiet: float = QUIET) -> floa
 
 
 def white_noise(time: np.ndarray, values: np.ndarray) -> float:
-    """Return the standard deviation of white noise on a smooth signal, from third divided differences; robust."""
+    """Return the standard deviation of white noise on a smooth signal, from third divided differences, in units of the
+    noise of one sample; robust."""
     difference = np.empty(max(len(time) - 3, 0))
-    for begin in range(0, len(difference), BLOCK):
-        part = slice(begin, begin + BLOCK + 3)
-        difference[begin : begin + BLOCK] = _third_differences(time[part], values[part])
+    for part in parts(len(difference), BLOCK):
+        t, y = (np.stack([x[part.start + i : part.stop + i] for i in range(4)]) for x in (time, values))
+        weight = np.array([1 / np.prod([t[i] - t[j] for j in range(4) if j != i], axis=0) for i in range(4)])
+        difference[part] = np.sum(weight * y, axis=0) / np.sqrt(np.sum(weight**2, axis=0))
     return float(_ROBUST * np.median(np.abs(difference, out=difference), overwrite_input=True))
-
-
-def _third_differences(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return third divided differences of n samples, in units of the noise of one sample, shape (n - 3,)."""
-    t = np.stack([time[i : len(time) - 3 + i] for i in range(4)])
-    weight = np.array([1 / np.prod([t[i] - t[j] for j in range(4) if j != i], axis=0) for i in range(4)])
-    y = np.stack([values[i : len(values) - 3 + i] for i in range(4)])
-    return np.sum(weight * y, axis=0) / np.sqrt(np.sum(weight**2, axis=0))
 
 
 def torque_from_current(motion: Motion, joint: KnownJoint) -> np.ndarray:
@@ -235,7 +224,4 @@ def wound(torque: np.ndarray, joint: KnownJoint) -> np.ndarray:
 
 @kernel
 def _wound(torque, record):
-    out = np.empty(len(torque))
-    for i in range(len(out)):
-        out[i] = laws.flexspline_torsion(torque[i], record[0])
-    return out
+    return np.array([laws.flexspline_torsion(T, record[0]) for T in torque])

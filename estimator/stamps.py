@@ -12,6 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from ..models.chunks import parts
+
 _BLOCK = 1 << 16  # samples processed together, to limit memory
 _LOOKED_AT, _STRETCH = 1 << 18, 1 << 14  # samples of a long log that are used, and the length of a stretch
 FEWEST = 50  # fewest samples in motion for a result
@@ -164,19 +166,15 @@ def off_motion(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     there."""
     n = max(len(t) - 4, 0)
     off, speed = np.empty(n), np.empty(n)
-    for begin in range(0, n, _BLOCK):
-        part = slice(begin, begin + _BLOCK + 4)
-        off[begin : begin + _BLOCK], speed[begin : begin + _BLOCK] = _off_within(t[part], x[part])
+    for part in parts(n, _BLOCK):
+        tb, xb = (y[part.start : part.stop + 4] for y in (t, x))
+        i = np.arange(2, len(tb) - 2)
+        others = [i - 2, i - 1, i + 1, i + 2]
+        weights = [np.prod([(tb[i] - tb[b]) / (tb[a] - tb[b]) for b in others if b is not a], axis=0) for a in others]
+        left = xb[i] - sum(w * xb[a] for w, a in zip(weights, others, strict=True))
+        off[part] = left / np.sqrt(1 + sum(w * w for w in weights))
+        speed[part] = (xb[i + 2] - xb[i - 2]) / (tb[i + 2] - tb[i - 2])
     return off, speed
-
-
-def _off_within(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    i = np.arange(2, len(t) - 2)
-    others = [i - 2, i - 1, i + 1, i + 2]
-    weights = [np.prod([(t[i] - t[b]) / (t[a] - t[b]) for b in others if b is not a], axis=0) for a in others]
-    off = x[i] - sum(w * x[a] for w, a in zip(weights, others, strict=True))
-    speed = (x[i + 2] - x[i - 2]) / (t[i + 2] - t[i - 2])
-    return off / np.sqrt(1 + sum(w * w for w in weights)), speed
 
 
 def clock_times(time: np.ndarray, encoders: Sequence[np.ndarray]) -> np.ndarray | None:

@@ -51,9 +51,8 @@ class Watch:
             self._variance += float(np.sum(rows[:, self._names.index("variance")]))
             self._samples += len(rows)
         second = np.floor(since[settled]).astype(np.int64)
-        size = int(second[-1]) + 1
-        self._sums = np.pad(self._sums, (0, max(size - len(self._sums), 0)))
-        self._counts = np.pad(self._counts, (0, max(size - len(self._counts), 0)))
+        more = max(int(second[-1]) + 1 - len(self._counts), 0)
+        self._sums, self._counts = np.pad(self._sums, (0, more)), np.pad(self._counts, (0, more))
         for e, S in self._pairs:
             nis = np.divide(rows[:, e] ** 2, rows[:, S], out=np.zeros(len(rows)), where=rows[:, S] > 0)
             self._sums += np.bincount(second, nis, len(self._sums)) / len(self._pairs)

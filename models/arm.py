@@ -6,7 +6,7 @@ The numbers come from the arm's MJCF by inverse dynamics: `models.arm_dynamics`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Self
 
 import numpy as np
@@ -89,10 +89,6 @@ class Load:
     torque: np.ndarray
     acceleration: np.ndarray  # of the joint, shape (n,), smoothed as the others' [rad/s²]
 
-    def at(self, samples: slice | np.ndarray) -> Load:
-        """Return the load at some of the samples."""
-        return Load(self.inertia[samples], self.torque[samples], self.acceleration[samples])
-
     def on(self, inertia: float) -> np.ndarray:
         """Return the torque [N·m] with the same effect on a link of constant inertia [kg·m²], shape (n,)."""
         return self.torque - (self.inertia - inertia) * self.acceleration
@@ -106,10 +102,6 @@ class ArmRecord:
     mjcf: str  # its masses and joints as an MJCF without files
     # angles of the other joints with a column, shape (n,) each [rad], by name of the joint
     positions: Mapping[str, np.ndarray]
-
-    def at(self, samples: slice | np.ndarray) -> ArmRecord:
-        """Return the arm at some of the samples."""
-        return replace(self, positions={name: angle[samples] for name, angle in self.positions.items()})
 
 
 def column(joint: str) -> str:

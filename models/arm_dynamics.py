@@ -89,7 +89,7 @@ class Arm:
         for angle in (0.0, 0.5 * math.pi):
             q[self._joint] = angle
             still = np.zeros((1, len(q)))
-            (inertia,), (torque,) = self._dynamics(q[None], still, still)
+            (inertia,), (torque,) = self._dynamics(q[None], still, still, (False,) * len(self.spec.payloads))
             weight.append(float(torque))
         if inertia <= 0.0:
             raise InputError(f"{self.path}: arm.joint: expected masses that {self.spec.joint!r} moves, got none")
@@ -98,39 +98,6 @@ class Arm:
         if moment < _WEIGHTLESS:  # a vertical axis
             return Mounting(inertia=float(inertia), gravity_moment=0.0)
         return Mounting(inertia=float(inertia), gravity_moment=moment, gravity_angle=math.atan2(*weight))
-
-    def load(
-        self,
-        time: np.ndarray,
-        position: np.ndarray,
-        positions: Mapping[str, np.ndarray],
-        mounting: Mounting,
-        carried: np.ndarray | None = None,
-    ) -> Load:
-        """Return the arm's load on the joint while others move.
-
-        Args:
-          time: shape (n,), without gaps [s]; position: of the joint, shape (n,) [rad].
-          positions: of the other moving joints, shape (n,) each [rad], by name.
-          mounting: the torque is in addition to its weight.
-          carried: whether it carries each of its payloads, shape (payloads, n); none by default.
-        """
-        n = len(time)
-        q = np.tile(self._pose({}), (n, 1))
-        v, a = np.zeros_like(q), np.zeros_like(q)
-        for name, angle in {self.spec.joint: position, **positions}.items():
-            i = self._joint if name == self.spec.joint else self._at(name, "column")
-            q[:, i], v[:, i], a[:, i] = differentiated(time, angle)
-        q[:, self._joint] = position
-        own = a[:, self._joint].copy()
-        a[:, self._joint] = 0.0  # τ without inertia times the joint's own acceleration
-        inertia, torque = np.zeros(n), np.zeros(n)
-        carried = np.zeros((len(self.spec.payloads), n), dtype=bool) if carried is None else carried
-        for state in np.unique(carried, axis=1).T:
-            at = np.flatnonzero(np.all(carried.T == state, axis=1))
-            inertia[at], torque[at] = self._dynamics(q[at], v[at], a[at], tuple(state.tolist()))
-        weight = mounting.gravity_moment * np.sin(position + mounting.gravity_angle)
-        return Load(inertia, weight - torque, own)
 
     def of(
         self,
@@ -153,16 +120,21 @@ class Arm:
         mounting = self.mounting({name: float(np.median(angle)) for name, angle in positions.items()})
         if all(float(np.ptp(angle)) <= STILL for angle in positions.values()) and not np.any(carried):
             return mounting, None
-        loads = [
-            self.load(
-                time[part], position[part], {name: x[part] for name, x in positions.items()}, mounting, carried[:, part]
-            )
-            for part in parts
-        ]
-        inertia, torque, own = (
-            np.concatenate([getattr(x, name) for x in loads]) for name in ("inertia", "torque", "acceleration")
-        )
-        return mounting, Load(inertia, torque, own)
+        q = np.tile(self._pose({}), (len(time), 1))
+        v, a = np.zeros_like(q), np.zeros_like(q)
+        for name, angle in {self.spec.joint: position, **positions}.items():
+            i = self._joint if name == self.spec.joint else self._at(name, "column")
+            for part in parts:
+                q[part, i], v[part, i], a[part, i] = differentiated(time[part], angle[part])
+        q[:, self._joint] = position
+        own = a[:, self._joint].copy()
+        a[:, self._joint] = 0.0  # τ without inertia times the joint's own acceleration
+        inertia, torque = np.zeros(len(time)), np.zeros(len(time))
+        for state in np.unique(carried, axis=1).T:
+            at = np.flatnonzero(np.all(carried.T == state, axis=1))
+            inertia[at], torque[at] = self._dynamics(q[at], v[at], a[at], tuple(state.tolist()))
+        weight = mounting.gravity_moment * np.sin(position + mounting.gravity_angle)
+        return mounting, Load(inertia, weight - torque, own)
 
     def mjcf(self) -> str:
         """Return its masses and joints, as the text of an MJCF without looks and files."""
@@ -183,11 +155,11 @@ class Arm:
         return q
 
     def _dynamics(
-        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, carried: tuple[bool, ...] | None = None
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, carried: tuple[bool, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the inertia about the joint's axis [kg·m²] and the torque τ [N·m], shape (n,), of positions, velocities,
-        accelerations, shape (n, nv), with the payloads that are `carried`, none by default."""
-        m, d = self._carrying((False,) * len(self.spec.payloads) if carried is None else carried)
+        accelerations, shape (n, nv), with the payloads that are `carried`."""
+        m, d = self._carrying(carried)
         found = np.zeros((len(q), 2))
         qpos, qvel, qacc, mass, force, at = d.qpos, d.qvel, d.qacc, d.M, d.qfrc_inverse, self._joint
         for k in range(len(q)):

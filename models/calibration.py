@@ -11,12 +11,12 @@ tolerance)^x: half the value is as likely as double, and the number is never neg
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from .joint import Joint, Slot
-from .joint_parts import OPTIONAL_SYMBOLS, POSSIBLE, SYMBOLS, Mounting, Number, Order, may_be_zero
+from .joint_parts import OPTIONAL_SYMBOLS, POSSIBLE, SYMBOLS, Mounting, Number, Order
 from .parameters import N_ORDERS, as_floats, short_way
 
 CUT = 2.5  # largest number of standard deviations of a drawn variable
@@ -24,23 +24,6 @@ ZEROS = ("link_encoder_zero", "torque_sensor_offset")
 """Zeros of sensors: each power cycle may set them anew, so that a diagnosis says nothing of the next one's."""
 _UNCORRELATED = 1e-3  # entry of the correlation's root below which a variable hardly changes a number
 WITHIN = 3.0  # standard deviations within which a change is calibration; beyond, it is a cause
-
-
-@dataclass(frozen=True)
-class _Laws:
-    """For every slot the number's value, its own tolerance and deviation with the index of their variable, a shared
-    tolerance with the index of its variable, the least and largest value, and its index in a record; shape (len(slots),)
-    each."""
-
-    value: np.ndarray
-    tolerance: np.ndarray
-    deviation: np.ndarray
-    own: np.ndarray
-    shared_tolerance: np.ndarray
-    shared: np.ndarray
-    least: np.ndarray
-    most: np.ndarray
-    place: np.ndarray
 
 
 class Calibration:
@@ -56,7 +39,17 @@ class Calibration:
         self.names = own + shared
         self._position = {name: i for i, name in enumerate(self.names)}
         self._root = self._correlation_root()
-        self._laws = self._as_arrays()
+        # Of every slot: value, tolerance and deviation of its number and the index of their variable, shared tolerance and its
+        # variable's, least and largest value, index in a record.
+        numbers, none = [s.number for s in self.slots], len(self.names)  # a variable that is always zero
+        self._value = np.array([n.value for n in numbers])
+        self._tolerance = np.array([n.tolerance for n in numbers])
+        self._deviation = np.array([n.deviation for n in numbers])
+        self._own = np.array([self._position.get(s.name, none) for s in self.slots], int)
+        self._shared_tolerance = np.array([joint.shared_tolerances[n.shared] if n.shared else 0.0 for n in numbers])
+        self._shared = np.array([self._position.get(f"shared {n.shared}", none) for n in numbers], int)
+        self._least, self._most = np.array([_limits(s) for s in self.slots]).reshape(-1, 2).T
+        self._place = np.array([s.place for s in self.slots], int)
         self._bare: dict[Mounting, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._last: dict[tuple[Mounting, bool], tuple[np.ndarray, np.ndarray]] = {}
 
@@ -68,21 +61,6 @@ class Calibration:
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a joint within tolerance, shape (n,), as of `standard`."""
         return standard(rng, self.size)
-
-    def _as_arrays(self) -> _Laws:
-        joint, none = self.joint, len(self.names)  # the index of a variable that is always zero
-        numbers = [s.number for s in self.slots]
-        return _Laws(
-            value=np.array([n.value for n in numbers]),
-            tolerance=np.array([n.tolerance for n in numbers]),
-            deviation=np.array([n.deviation for n in numbers]),
-            own=np.array([self._position.get(s.name, none) for s in self.slots], int),
-            shared_tolerance=np.array([joint.shared_tolerances[n.shared] if n.shared else 0.0 for n in numbers]),
-            shared=np.array([self._position.get(f"shared {n.shared}", none) for n in numbers], int),
-            least=np.array([_limits(s)[0] for s in self.slots]),
-            most=np.array([_limits(s)[1] for s in self.slots]),
-            place=np.array([s.place for s in self.slots], int),
-        )  # fmt: skip
 
     def _correlation_root(self) -> np.ndarray:
         """Symmetric root of the variables' correlation, shape (n + 1, n + 1); the last one is a variable that is always zero."""
@@ -102,15 +80,15 @@ class Calibration:
     def variables(self, slot: Slot) -> list[int]:
         """Return the indices of the variables that change a slot's number: its own, correlated and shared ones."""
         i = self.slots.index(slot)
-        moving = np.flatnonzero(np.abs(self._root[self._laws.own[i]]) > _UNCORRELATED)
-        return [int(j) for j in (*moving, self._laws.shared[i]) if j < self.size]
+        moving = np.flatnonzero(np.abs(self._root[self._own[i]]) > _UNCORRELATED)
+        return [int(j) for j in (*moving, self._shared[i]) if j < self.size]
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """Return the numbers of all slots at `x`, shape (len(slots),)."""
-        n, x = self._laws, np.append(x, 0.0)
-        own = (self._root @ x)[n.own]
-        value = n.value * factor_of(n.tolerance, own) + n.deviation * own
-        return np.clip(value * factor_of(n.shared_tolerance, x[n.shared]), n.least, n.most)
+        x = np.append(x, 0.0)
+        own = (self._root @ x)[self._own]
+        value = self._value * factor_of(self._tolerance, own) + self._deviation * own
+        return np.clip(value * factor_of(self._shared_tolerance, x[self._shared]), self._least, self._most)
 
     def value(self, slot: Slot, x: np.ndarray) -> float:
         """Return one number at `x`."""
@@ -145,7 +123,7 @@ class Calibration:
             self._bare[mounting] = self.joint.bare_record(mounting), scale, offset
         bare, scale, offset = self._bare[mounting]
         record = bare.copy()
-        as_floats(record)[self._laws.place] = scale * self.values(x) + offset
+        as_floats(record)[self._place] = scale * self.values(x) + offset
         if effects:
             self.joint.apply_effects(record)
         self._last[mounting, effects] = np.array(x), record.copy()
@@ -203,8 +181,9 @@ def _limits(slot: Slot) -> tuple[float, float]:
         return _LEAST_SHARE * slot.number.value, np.inf
     if slot.field not in SYMBOLS | OPTIONAL_SYMBOLS:
         return -np.inf, np.inf
-    least, most = POSSIBLE.get(slot.name, (0.0, np.inf))
-    return (0.0 if may_be_zero(slot.name) else max(least, _LEAST_SHARE * slot.number.value)), most
+    _, zero = (SYMBOLS | OPTIONAL_SYMBOLS)[slot.field]
+    least, most = POSSIBLE.get(slot.field, (0.0, np.inf))
+    return (0.0 if zero else max(least, _LEAST_SHARE * slot.number.value)), most
 
 
 UNKNOWN_PHASE = 1.5

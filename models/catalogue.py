@@ -9,7 +9,7 @@ cube, inertia with its fifth power.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,7 +119,8 @@ def gear(series: str, size: float, ratio: float) -> Gear:
         return 1e4 * few**1.15 * _at_size(table, size, 3)
 
     rated, peak, starting = (
-        few**power * _at_size({s: _at_ratio(row, ratio) for s, row in table.items()}, size, growth)
+        few**power
+        * _at_size({s: float(np.interp(ratio, RATIOS[: len(row)], row)) for s, row in table.items()}, size, growth)
         for table, power, growth in ((_RATED[rating], 0.55, 3), (_PEAK, 0.55, 3), (_STARTING, -0.5, 2.5))
     )
     T1, T2 = (_at_size({s: breakpoints[k] for s, breakpoints in _BREAKPOINTS.items()}, size, 3) for k in (0, 1))
@@ -130,10 +131,6 @@ def gear(series: str, size: float, ratio: float) -> Gear:
         accuracy=math.radians(_at_size(_ACCURACY, size, 0) / 60),
         exact=size in SIZES and ratio in RATIOS[: len(_PEAK[int(size)])],
     )  # fmt: skip
-
-
-def _at_ratio(row: Sequence[float], ratio: float) -> float:
-    return float(np.interp(ratio, RATIOS[: len(row)], row))
 
 
 def _at_size(table: Mapping[int, float], size: float, power: float) -> float:

@@ -9,15 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from .files import Strict
+from .parameters import floats
 
-CONTROLLER = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain", "gravity", "delay", "mode", "feed",
-        )
-    ]
-)  # fmt: skip
+CONTROLLER = floats("kp", "kd", "ki", "filter", "limit", "gear", "torque_gain", "gravity", "delay", "mode", "feed")
 """The controller as one record for compiled code; `mode`: index in `MODES`; `feed`: current per commanded torque [A/(N·m)]."""
 
 Mode = Literal["position", "velocity", "torque"]  # what the drive is commanded
@@ -49,19 +43,13 @@ class Controller(Strict):
     kd: Annotated[float, Field(ge=0, description="A·s/rad, motor side")] = 0.08
     ki: Annotated[float, Field(ge=0, description="A/(rad·s), motor side")] = 0.0
     velocity_filter: Annotated[float, Field(ge=0, lt=1, description="time constant, s")] = 0.002
-    torque_feedback: Annotated[
-        float, Field(ge=0, le=1, description="share of the estimated torque that is fed back")
-    ] = 0.8
+    torque_feedback: Annotated[float, Field(ge=0, le=1)] = 0.8
+    """Share of the estimated torque that is fed back."""
     delay: Annotated[float, Field(ge=0, le=0.02, description="from the command to the winding, s")] = 0.0
 
     torque_loop: Annotated[float, Field(ge=0, le=1000, description="gain of the torque loop; 0: none")] = 0.0
-    gravity: Annotated[
-        float, Field(ge=0, le=1, description="share of the link's weight that the drive compensates")
-    ] = 0.0
-
-    def changed_by(self, other: Controller) -> Controller:
-        """Return the controller with the keys that another one states."""
-        return self.model_copy(update={key: getattr(other, key) for key in other.model_fields_set})
+    gravity: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Share of the link's weight that the drive compensates."""
 
     def lagging(self, delay: float) -> Controller:
         """Return the controller for a drive with a delay [s]: lower gains with the same phase margin.

@@ -353,26 +353,19 @@ def _sensors(sheet: Datasheet, value: Mapping[str, float]) -> dict[str, Any]:
         float(f"{share * value[of]:.2g}") for share, of in ((3e-3, "current_limit"), (2e-3, "rated_torque"))
     )
     offset = float(f"{3e-3 * value['rated_torque']:.2g}")
+
+    def zero(unit: str, deviation: float, rule: str) -> dict[str, Any]:
+        return {"value": 0, "unit": unit, "deviation": deviation, "source": f"{_RULE}{rule}"}
+
+    counts = {"noise": float(f"{0.25 * step:.2g}"), "zero": zero("rad", 1e-3, "1 mrad, mounting of the encoders")}
     return {
         "motor_encoder": dict(sheet.motor_encoder),
-        "link_encoder": link
-        | {
-            "noise": float(f"{0.25 * step:.2g}"),
-            "zero": {
-                "value": 0,
-                "unit": "rad",
-                "deviation": 1e-3,
-                "source": f"{_RULE}1 mrad, mounting of the encoders",
-            },
-        },
-        "motor_current": {
-            "noise": current,
-            "offset": {"value": 0, "unit": "A", "deviation": current, "source": f"{_RULE}0.3 % of the current limit"},
-        },
+        "link_encoder": link | counts,
+        "motor_current": {"noise": current, "offset": zero("A", current, "0.3 % of the current limit")},
         "joint_torque": {
             "noise": torque,
             "gain": _row(1, "1", 0.01, f"{_RULE}1 %"),
-            "offset": {"value": 0, "unit": "N·m", "deviation": offset, "source": f"{_RULE}0.3 % of the rated torque"},
+            "offset": zero("N·m", offset, "0.3 % of the rated torque"),
         },
         "wrench": {"force_noise": 0.1, "torque_noise": torque},
     }

@@ -168,15 +168,9 @@ def _div(builder: Any, x: Any, dx: Any, y: Any, dy: Any) -> tuple[Any, Any]:
 
 
 _OPERATIONS: dict[Any, Callable[..., tuple[Any, Any]]] = {
-    operator.add: _add,
-    operator.iadd: _add,
-    operator.sub: _sub,
-    operator.isub: _sub,
-    operator.mul: _mul,
-    operator.imul: _mul,
-    operator.truediv: _div,
-    operator.itruediv: _div,
-}
+    operator.add: _add, operator.iadd: _add, operator.sub: _sub, operator.isub: _sub, operator.mul: _mul,
+    operator.imul: _mul, operator.truediv: _div, operator.itruediv: _div,
+}  # fmt: skip
 _COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">="}
 _PAIRS = ((Dual, Dual), (Dual, types.Float), (types.Float, Dual), (Dual, types.Integer), (types.Integer, Dual))
 
@@ -487,11 +481,10 @@ def _memory(kind: Callable[[Any], _Memory], shaped: Callable[[Any], bool]) -> An
     return intrinsic(typed)
 
 
-def _of_records(values: Any) -> bool:
-    return values.ndim == 1 and isinstance(values.dtype, types.Record)
-
-
-dual_records = _memory(lambda values: DualRecords(values.dtype), _of_records)
+dual_records = _memory(
+    lambda values: DualRecords(values.dtype),
+    lambda values: values.ndim == 1 and isinstance(values.dtype, types.Record),
+)
 """`dual_records(values, tangents)` in a kernel: writable records of dual numbers. Values: shape (n,), records of
 float64 fields; tangents: shape (n, fields, LANES), both C-contiguous."""
 

@@ -7,8 +7,8 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Hashable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationErro
 from pydantic_core import PydanticCustomError, core_schema
 
 from .errors import LARGEST_TEXT, InputError, first_line, is_there, nearest, read_text, unknown_key
-from .output import described, write_whole
+from .output import write_into_place
 from .schema import documented
 
 
@@ -206,17 +206,17 @@ def yaml_value(text: str) -> Any:
 def yaml_text(data: Any, rows: bool = False) -> str:
     """Return data as YAML text: keys in their order, lines of at most 120 characters, or with `rows` a line for every list
     and mapping of plain values."""
-    form: dict[str, Any] = {"default_flow_style": None, "width": 10**6} if rows else {"width": 120}
-    text: str = yaml.dump(data, Dumper=_SafeDumper, allow_unicode=True, sort_keys=False, **form)
-    return text
+    return _dumped(data, None, 10**6) if rows else _dumped(data, False, 120)
 
 
 def flow_text(data: Any) -> str:
     """Return data as YAML text in one line: `{value: 1.5, unit: N·m}`."""
-    text: str = yaml.dump(
-        data, Dumper=_SafeDumper, allow_unicode=True, sort_keys=False, default_flow_style=True, width=10**6
-    )
-    return text.removesuffix("...\n").strip()
+    return _dumped(data, True, 10**6).removesuffix("...\n").strip()
+
+
+def _dumped(data: Any, flow: bool | None, width: int) -> str:
+    form: dict[str, Any] = {"default_flow_style": flow, "width": width, "allow_unicode": True, "sort_keys": False}
+    return str(yaml.dump(data, Dumper=_SafeDumper, **form))
 
 
 def json_text(data: Any) -> str:
@@ -325,14 +325,12 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
 
 def descriptions(error: ValidationError, model: type[BaseModel]) -> list[str]:
     """Return a line per error of pydantic: field, expected, got."""
-    errors = error.errors()
-    return [_described(one, model, _alternatives(one, errors)) for one in errors]
-
-
-def _alternatives(one: Any, errors: list[Any]) -> list[Any]:
-    """Return the errors of the same value, one per kind that it may have; empty if it may have only one."""
-    same = [e for e in errors if e["loc"][:-1] == one["loc"][:-1] and _is_branch(e["loc"][-1:])]
-    return same if len(same) > 1 and one in same else []
+    errors, lines = error.errors(), []
+    for one in errors:
+        # The errors of the same value, one per kind that it may have.
+        same = [e for e in errors if e["loc"][:-1] == one["loc"][:-1] and _is_branch(e["loc"][-1:])]
+        lines.append(_described(one, model, same if len(same) > 1 and one in same else []))
+    return lines
 
 
 _BRANCH = re.compile(r"(?:dict|list|tuple|literal|constrained|function)\b.*\[.*\]", re.DOTALL)
@@ -439,14 +437,3 @@ def check_name(name: str, where: str) -> str:
             f"dot or a blank, got {shown(name)}"
         )
     return name
-
-
-@contextmanager
-def write_into_place(path: Path) -> Iterator[Path]:
-    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it. Raises
-    `InputError`: it cannot be written (no permission, a full disk); one line."""
-    try:
-        with write_whole(path) as temporary:
-            yield temporary
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {described(error)}") from error

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from . import causes
 from .errors import InputError
-from .faults import Fault, Severity, contradictions, unlike_mjcf
+from .faults import Fault, contradictions, unlike_mjcf
 from .files import descriptions, kind_of, read_yaml
 from .joint import Joint, known_joints, load_joint
 from .joint_parts import SYMBOLS, Effect, Mounting, Number, number_faults
@@ -60,7 +60,7 @@ def check(source: str | Path) -> Checked:
     if not isinstance(data, dict):
         return Checked(path, None, (Fault("error", "file", f"expected a mapping of keys, got {kind_of(data)}"),))
     joint, faults = _read(data)
-    found = [_problem("error", text) for text in faults]
+    found = [Fault("error", field, message) for field, _, message in (text.partition(": ") for text in faults)]
     if joint is not None:
         joint._path = path.resolve()
         found += _mjcf(joint)
@@ -108,11 +108,6 @@ def _each(given: Any, model: type[BaseModel]) -> dict[str, Any]:
         except ValidationError:
             continue
     return found
-
-
-def _problem(severity: Severity, text: str) -> Fault:
-    field, _, message = text.partition(": ")
-    return Fault(severity, field, message)
 
 
 def _mjcf(joint: Joint) -> list[Fault]:

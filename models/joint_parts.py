@@ -38,11 +38,6 @@ motor (default 1). `knee_width`: half the torsion over which the stiffness chang
 at which friction is stated (25 °C)."""
 
 
-def may_be_zero(symbol: str) -> bool:
-    """Return whether a number of a joint may be zero. None may be negative."""
-    return (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][1]
-
-
 UNREAD = {
     ("motor_encoder", "zero"): "angles count from its zero, and link_encoder.zero is the other's against it",
     ("motor_current", "gain"): "a torque that the current means at another scale is another Kt",
@@ -340,13 +335,9 @@ class ValidRange(Strict):
         """Return the shares of samples, shape (n,) each, outside the range, by variable and by unseen combination of
         motion and load; empty if there are none. A margin of a twentieth of the range is allowed."""
         samples = max(len(link_position), 1)
-        found: dict[str, float] = {}
-        for name, x in (
-            ("link_position", link_position), ("link_velocity", link_velocity), ("joint_torque", joint_torque),
-        ):  # fmt: skip
-            share = int(np.count_nonzero(self._past(name, x) > _SLACK)) / samples
-            if share > 0:
-                found[name] = share
+        past = self._past(link_position, link_velocity, joint_torque)
+        shares = {name: int(np.count_nonzero(x > _SLACK)) / samples for name, x in past.items()}
+        found = {name: share for name, share in shares.items() if share > 0}
         sign = np.sign(np.asarray(link_velocity) * joint_torque)
         for name, which in (("driving", 1.0), ("driven", -1.0)):
             share = int(np.count_nonzero(sign == which)) / samples
@@ -356,19 +347,19 @@ class ValidRange(Strict):
 
     def distance(self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray) -> np.ndarray:
         """Return the largest distance of samples, shape (n,) each, from the range, in units of the range, shape (n,)."""
-        past = [
-            self._past("link_position", link_position), self._past("link_velocity", link_velocity),
-            self._past("joint_torque", joint_torque),
-        ]  # fmt: skip
-        return np.max(past, axis=0)
+        return np.max([*self._past(link_position, link_velocity, joint_torque).values()], axis=0)
 
     def outside(self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray) -> np.ndarray:
         """Return which samples, shape (n,) each, are outside the range with its margin, shape (n,), bool."""
         return self.distance(link_position, link_velocity, joint_torque) > _SLACK
 
-    def _past(self, name: str, x: np.ndarray) -> np.ndarray:
-        low, high = getattr(self, name)
-        return np.maximum(np.maximum(low - x, x - high), 0.0) / max(high - low, 1e-9)
+    def _past(self, *samples: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the distance of samples from the range of each variable, in units of that range."""
+        ends = {name: getattr(self, name) for name in ("link_position", "link_velocity", "joint_torque")}
+        return {
+            name: np.maximum(np.maximum(low - x, x - high), 0.0) / max(high - low, 1e-9)
+            for (name, (low, high)), x in zip(ends.items(), samples, strict=True)
+        }
 
 
 _SLACK = 0.05  # share of a range that is allowed as a margin

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -35,7 +36,8 @@ _DEEPEST = 10  # of includes within includes
 def check_mjcf(path: Path) -> None:
     """Check that an MJCF and all its files are in its folder. Raises `InputError`: a file that is not XML, has document
     type declarations or plugins, or names a file elsewhere; one line."""
-    _check(path, path.resolve().parent, _DEEPEST)
+    for _ in _roots(path, path.resolve().parent, _DEEPEST):
+        pass
 
 
 def inherited(path: Path, hinge: str) -> tuple[bool, bool]:
@@ -69,22 +71,14 @@ def stated_numbers(path: Path) -> dict[str, float]:
 def mjcf_files(path: Path) -> list[Path]:
     """Return an MJCF and its existing files (includes, meshes, textures); all are in its folder. Raises `InputError`:
     as `check_mjcf`."""
-    check_mjcf(path)
-    folder, found, waiting = path.resolve().parent, [path], [path]
-    while waiting:
-        root = ElementTree.fromstring(read_text(waiting.pop(), "an MJCF file"))
-        places = [
-            folder,
-            *(folder / v for c in root.iter("compiler") for k, v in c.attrib.items() if k.endswith("dir")),
-        ]
+    folder, found = path.resolve().parent, [path]
+    for root in _roots(path, folder, _DEEPEST):
+        own = (folder / v for c in root.iter("compiler") for k, v in c.attrib.items() if k.endswith("dir"))
+        places = [folder, *own]
         for element in root.iter():
             for name, value in element.attrib.items():
                 if name.startswith("file") and element.tag != "compiler":
-                    new = [
-                        place / value for place in places if (place / value).is_file() and place / value not in found
-                    ]
-                    found += new
-                    waiting += new if element.tag in ("include", "model") else []
+                    found += [one for place in places if (one := place / value).is_file() and one not in found]
     return found
 
 
@@ -99,7 +93,8 @@ def xml_root(path: Path, text: str, kind: str) -> ElementTree.Element:
         raise InputError(f"{path}: not a readable {kind.partition(' ')[2]}: {error}") from error
 
 
-def _check(path: Path, folder: Path, depth: int) -> None:
+def _roots(path: Path, folder: Path, depth: int) -> Iterator[ElementTree.Element]:
+    """Yield the root elements of an MJCF and of its includes, checked."""
     if not path.is_file():
         raise InputError(f"{path}: expected an MJCF file, no such file")
     if path.stat().st_size > _LARGEST:
@@ -111,10 +106,12 @@ def _check(path: Path, folder: Path, depth: int) -> None:
         for name, value in element.attrib.items():
             if name.startswith("file") or (name.endswith("dir") and element.tag == "compiler"):
                 _check_inside(path, folder, element.tag, name, value)
+    yield root
+    for element in root.iter():
         if element.tag in ("include", "model") and element.get("file") is not None:
             if depth == 0:
                 raise InputError(f"{path}: include: expected files no more than {_DEEPEST} deep")
-            _check(folder / str(element.get("file")), folder, depth - 1)
+            yield from _roots(folder / str(element.get("file")), folder, depth - 1)
 
 
 def _check_inside(path: Path, folder: Path, tag: str, name: str, value: str) -> None:

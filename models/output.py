@@ -3,9 +3,10 @@
 The manifest `.flexspline` of a folder lists the files written here and their maker (`run`, `diagnose`, …). Only the same
 maker replaces or removes them. All other files belong to the user.
 
-A command writes to the folder `.flexspline-new-…` first. When it is complete, one rename makes it `.flexspline-done-…`.
-From then on its files only have to be moved up. After an interruption, the next process that opens the folder
-continues (`recover`). The next write removes unfinished folders of processes that have ended.
+A command writes to the folder `.flexspline-new-…` first. When it is complete, with its manifest, one rename makes it
+`.flexspline-done-…`. From then on its files only have to be moved up, and those removed that are in the folder's manifest and
+not in the new one. After an interruption, the next process that opens the folder continues (`recover`). The next write
+removes unfinished folders of processes that have ended.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ except ImportError:  # Windows has no such locks
 
 MANIFEST = ".flexspline"
 _NEW, _DONE = f"{MANIFEST}-new-", f"{MANIFEST}-done-"
-_JOURNAL, _LISTED = ".journal", ".manifest"
 _TRIES = 100  # to enter a folder that other processes make and remove
 _ENVIRONMENT = {
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG,
@@ -104,7 +104,7 @@ def output_folder(
     except OSError as error:
         if entered and error.errno not in _ENVIRONMENT:
             raise
-        raise InputError(f"{path}: cannot be written: {described(error)}") from error
+        raise InputError(f"{path}: cannot be written: {_described(error)}") from error
 
 
 @contextmanager
@@ -174,7 +174,7 @@ def recover(path: Path) -> None:
                 _recover(path)
     except OSError as error:
         raise InputError(
-            f"{path}: expected complete output, got some that was interrupted and cannot be completed: {described(error)}"
+            f"{path}: expected complete output, got some that was interrupted and cannot be completed: {_described(error)}"
         ) from error
 
 
@@ -187,7 +187,7 @@ def manifest(path: Path) -> dict[str, str]:
     except (FileNotFoundError, NotADirectoryError, ValueError, RecursionError):
         return {}
     except OSError as error:
-        raise InputError(f"{file}: cannot be read: {described(error)}") from error
+        raise InputError(f"{file}: cannot be read: {_described(error)}") from error
     if not isinstance(found, dict) or not isinstance(found.get("files"), dict):
         return {}
     if found.get("format", 1) != 1:
@@ -237,10 +237,9 @@ def _commit(path: Path, staging: Path, maker: str, whole: bool) -> None:
     names = sorted(p.relative_to(staging).as_posix() for p in staging.rglob("*") if not p.is_dir())
     for name in names:
         _check_target(path, name, listed, maker)
-    old = [name for name, by in listed.items() if whole and by == maker and name not in names]
-    kept = {name: by for name, by in listed.items() if name not in old}
-    journal = {"remove": old, "files": kept | dict.fromkeys(names, maker)}
-    (staging / _JOURNAL).write_text(json.dumps(journal, ensure_ascii=False), encoding="utf-8")
+    kept = {name: by for name, by in listed.items() if not whole or by != maker}
+    files = {"format": 1, "files": dict(sorted((kept | dict.fromkeys(names, maker)).items()))}
+    (staging / MANIFEST).write_text(json.dumps(files, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     done = path / staging.name.replace(_NEW, _DONE)
     os.rename(staging, done)
     _move_up(path, done)
@@ -258,30 +257,24 @@ def _recover(path: Path) -> None:
 
 
 def _move_up(path: Path, done: Path) -> None:
-    """Move complete output to its place. It may be interrupted at every step, and repeated."""
-    try:
-        journal = json.loads((done / _JOURNAL).read_text(encoding="utf-8"))
-        files, old = dict(journal["files"]), [str(name) for name in journal["remove"]]
-    except (FileNotFoundError, ValueError, TypeError, KeyError, RecursionError):
-        if not any(p.is_file() for p in done.rglob("*")):  # all files were moved up
-            shutil.rmtree(done)
+    """Move complete output to its place, its manifest last. It may be interrupted at every step, and repeated."""
+    new, files = manifest(done), [p for p in done.rglob("*") if not p.is_dir()]
+    if not new and files:  # not as it was written
         return
-    # The manifest first: a file that exists and is not listed would count as the user's.
-    listed = {"format": 1, "files": dict(sorted(files.items()))}
-    (done / _LISTED).write_text(json.dumps(listed, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    os.replace(done / _LISTED, path / MANIFEST)
     inside = path.resolve()
-    for source in sorted(p for p in done.rglob("*") if not p.is_dir() and p != done / _JOURNAL):
+    for source in sorted(p for p in files if p != done / MANIFEST):
         target = path / source.relative_to(done)
         if target.parent.resolve().is_relative_to(inside):
             target.parent.mkdir(parents=True, exist_ok=True)
             os.replace(source, target)
-    for gone in (path / name for name in old if _is_inside(name)):
+    for gone in (path / name for name in manifest(path) if files and name not in new):
         if gone.parent.resolve().is_relative_to(inside):
             gone.unlink(missing_ok=True)
             with suppress(OSError):  # the folder has other files
                 for parent in gone.relative_to(path).parents[:-1]:
                     (path / parent).rmdir()
+    if files:
+        os.replace(done / MANIFEST, path / MANIFEST)
     shutil.rmtree(done)
 
 
@@ -327,18 +320,21 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def write_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it. Raises
-    `OSError`: it cannot be written."""
-    if any(part.startswith(_NEW) for part in path.parts):  # inside a folder that appears complete
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield path
-        return
-    with _staging(path.parent) as folder:
-        yield folder / path.name
-        os.replace(folder / path.name, path)
+def write_into_place(path: Path) -> Iterator[Path]:
+    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it. Raises `InputError`: it
+    cannot be written (no permission, a full disk); one line."""
+    try:
+        if any(part.startswith(_NEW) for part in path.parts):  # inside a folder that appears complete
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield path
+        else:
+            with _staging(path.parent) as folder:
+                yield folder / path.name
+                os.replace(folder / path.name, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {_described(error)}") from error
 
 
-def described(error: OSError) -> str:
+def _described(error: OSError) -> str:
     """Return the cause of an error in a few words."""
     return os.strerror(error.errno) if error.errno else first_line(error)

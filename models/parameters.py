@@ -8,6 +8,8 @@ it as an argument.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 N_ORDERS = 8
@@ -26,44 +28,45 @@ VARIABLES = (
 GRAVITY = 9.80665  # standard gravity [m/s²]
 REFERENCE_TEMPERATURE = 25.0  # default temperature [°C] of a joint's stated friction
 
-_F = np.float64
-PARAMETERS = np.dtype(
-    [
-        # rotor and motor
-        ("N", _F), ("Jm", _F), ("Kt", _F), ("bm", _F), ("Kt_drive", _F),
-        ("R", _F), ("L", _F), ("supply_voltage", _F), ("current_limit", _F),
-        # wave generator
-        ("Jw", _F), ("Kw0", _F), ("Cw", _F), ("dw", _F),
-        # mesh friction (LuGre)
-        ("Fc", _F), ("Fs", _F), ("vs", _F), ("s0", _F), ("s1", _F), ("bw", _F),
-        # flexspline
-        ("K1", _F), ("K2", _F), ("K3", _F), ("T1", _F), ("T2", _F), ("df", _F), ("knee_width", _F),
-        # kinematic error: A_k sin(k θw + φ_k)
-        ("order", _F, N_ORDERS), ("amplitude", _F, N_ORDERS), ("phase", _F, N_ORDERS),
-        # output and link
-        ("bl", _F), ("Jl", _F), ("Mg", _F), ("gravity_angle", _F),
-        # effects in the motor and transmission
-        ("cogging_order", _F, N_ORDERS), ("cogging_amplitude", _F, N_ORDERS), ("cogging_phase", _F, N_ORDERS),
-        ("hysteresis_torque", _F), ("hysteresis_extent", _F), ("backlash", _F),
-        ("friction_asymmetry", _F), ("friction_load", _F), ("back_driven_friction", _F),
-        ("friction_order", _F, N_ORDERS), ("friction_amplitude", _F, N_ORDERS), ("friction_phase", _F, N_ORDERS),
-        ("drift_amplitude", _F), ("drift_time", _F),
-        ("friction_temperature", _F), ("reference_temperature", _F), ("viscous_exponent", _F),
-        # effects at the link
-        ("cable_stiffness", _F), ("cable_rest", _F), ("stop_angle", _F), ("stop_stiffness", _F),
-        ("link_friction", _F), ("link_damping", _F), ("arm_scale", _F),
-        ("flexible_share", _F), ("flexible_frequency", _F), ("flexible_damping", _F),
-        # sensors
-        ("motor_eccentricity", _F), ("motor_eccentricity_phase", _F),
-        ("link_zero", _F), ("link_delay", _F), ("link_error_order", _F, N_ORDERS),
-        ("link_error_amplitude", _F, N_ORDERS), ("link_error_phase", _F, N_ORDERS),
-        ("current_offset", _F), ("torque_gain", _F), ("torque_offset", _F), ("torque_rate", _F),
-        # nonparametric model discrepancies: cubic B-splines on a uniform grid
-        ("discrepancy_place", _F, N_DISCREPANCIES), ("discrepancy_variable", _F, N_DISCREPANCIES),
-        ("discrepancy_low", _F, N_DISCREPANCIES), ("discrepancy_high", _F, N_DISCREPANCIES),
-        ("discrepancy_count", _F, N_DISCREPANCIES),
-        ("discrepancy_coefficient", _F, (N_DISCREPANCIES, N_COEFFICIENTS)),
-    ],
+
+def floats(*fields: str | tuple[Any, ...], align: bool = False) -> np.dtype:
+    """Return a record of float64 fields for compiled code: `name`, or `(name, shape)` of an array; `(name, record)` and `(name,
+    record, shape)` are records inside it."""
+    given = ((one, np.float64) if isinstance(one, str) else one for one in fields)
+    return np.dtype(
+        [one if isinstance(one[1], type | np.dtype) else (one[0], np.float64, *one[1:]) for one in given], align=align
+    )
+
+
+PARAMETERS = floats(
+    # rotor and motor
+    "N", "Jm", "Kt", "bm", "Kt_drive", "R", "L", "supply_voltage", "current_limit",
+    # wave generator
+    "Jw", "Kw0", "Cw", "dw",
+    # mesh friction (LuGre)
+    "Fc", "Fs", "vs", "s0", "s1", "bw",
+    # flexspline
+    "K1", "K2", "K3", "T1", "T2", "df", "knee_width",
+    # kinematic error: A_k sin(k θw + φ_k)
+    ("order", N_ORDERS), ("amplitude", N_ORDERS), ("phase", N_ORDERS),
+    # output and link
+    "bl", "Jl", "Mg", "gravity_angle",
+    # effects in the motor and transmission
+    ("cogging_order", N_ORDERS), ("cogging_amplitude", N_ORDERS), ("cogging_phase", N_ORDERS),
+    "hysteresis_torque", "hysteresis_extent", "backlash", "friction_asymmetry", "friction_load", "back_driven_friction",
+    ("friction_order", N_ORDERS), ("friction_amplitude", N_ORDERS), ("friction_phase", N_ORDERS),
+    "drift_amplitude", "drift_time", "friction_temperature", "reference_temperature", "viscous_exponent",
+    # effects at the link
+    "cable_stiffness", "cable_rest", "stop_angle", "stop_stiffness", "link_friction", "link_damping", "arm_scale",
+    "flexible_share", "flexible_frequency", "flexible_damping",
+    # sensors
+    "motor_eccentricity", "motor_eccentricity_phase", "link_zero", "link_delay",
+    ("link_error_order", N_ORDERS), ("link_error_amplitude", N_ORDERS), ("link_error_phase", N_ORDERS),
+    "current_offset", "torque_gain", "torque_offset", "torque_rate",
+    # nonparametric model discrepancies: cubic B-splines on a uniform grid
+    ("discrepancy_place", N_DISCREPANCIES), ("discrepancy_variable", N_DISCREPANCIES),
+    ("discrepancy_low", N_DISCREPANCIES), ("discrepancy_high", N_DISCREPANCIES), ("discrepancy_count", N_DISCREPANCIES),
+    ("discrepancy_coefficient", (N_DISCREPANCIES, N_COEFFICIENTS)),
     align=True,
 )  # fmt: skip
 

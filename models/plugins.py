@@ -135,7 +135,7 @@ def _offers(kind: Kind, taken: frozenset[str]) -> dict[str, Offer]:
             if name in taken or name in found:
                 there = _PACKAGE if name in taken else found[name].origin.name
                 raise InputError(f"{file}: {kind[:-1]} {name!r}: expected another name, {there} has one of that name")
-            found[name] = Offer(kind, name, Origin(str(file), digest), partial(_same, one))
+            found[name] = Offer(kind, name, Origin(str(file), digest), partial(lambda x: x, one))
     return found
 
 
@@ -207,10 +207,6 @@ def _installed(kind: Kind) -> dict[str, Offer]:
             point.name, Offer(kind, point.name, Origin(package, package), cache(partial(_load, kind, point)))
         )
     return found
-
-
-def _same(one: Any) -> Any:
-    return one
 
 
 def _load(kind: Kind, point: EntryPoint) -> Any:

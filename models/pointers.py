@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic as numba_intrinsic
@@ -30,14 +29,7 @@ floats_at = _pointer(types.float64)  # pointer to float64 at an integer address
 ints_at = _pointer(types.int32)  # pointer to int32 at an integer address
 words_at = _pointer(types.int64)  # pointer to int64 (sizes, addresses) at an integer address
 bytes_at = _pointer(types.uint8)  # pointer to bytes at an integer address
-
-
-def pointer_to(dtype: np.dtype) -> Any:
-    """Return a compiled function: integer address → pointer to records of `dtype`; `carray(…, 1)[0]` is the record."""
-    return _pointer(from_dtype(dtype))
-
-
-record_at = pointer_to(PARAMETERS)  # pointer to a parameter record at an integer address
+record_at = _pointer(from_dtype(PARAMETERS))  # pointer to a parameter record; `carray(…, 1)[0]` is the record
 
 
 @intrinsic

@@ -31,7 +31,7 @@ from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel
 from .payload import CarriedMass, load_of
-from .signals import CHANNELS, DRIVING, POSITIONS, Signals
+from .signals import CHANNELS, DRIVING, POSITIONS, Signals, at_samples
 from .tables import reading_parquet, write_table
 from .text_tables import TextTable
 
@@ -131,12 +131,7 @@ class Recording:
             if values.ndim != 1 or len(values) != len(self.time):
                 raise InputError(f"{where}: column {name!r}: expected shape ({len(self.time)},), got {values.shape}")
             found[name] = values
-            bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
-            if len(bad):
-                wanted = "a finite number" if not np.isfinite(values[bad[0]]) else f"a number of at most {LARGEST:g}"
-                raise InputError(
-                    f"{where}: column {name!r}, {_row(self.source, int(bad[0]))}: expected {wanted}, got {values[bad[0]]}"
-                )
+            _check_numbers(where, name, values)
         object.__setattr__(self, "columns", {k: v for k, v in found.items() if k != "time"})
         check_channels(where, self.columns)
         if len(self.time) < 2:
@@ -188,12 +183,7 @@ class Recording:
 
     def at(self, samples: slice | np.ndarray, time: np.ndarray | None = None) -> Recording:
         """Return the recording at some of its samples, by default with their own time stamps [s]."""
-        columns = {name: values[samples] for name, values in self.columns.items()}
-        arm = None if self.arm is None else self.arm.at(samples)
-        load = None if self.load is None else self.load.at(samples)
-        logged = None if self.logged is None or time is not None else self.logged[samples]
-        time = self.time[samples] if time is None else time
-        return replace(self, time=time, columns=columns, arm=arm, load=load, logged=logged)
+        return at_samples(self, samples, **({} if time is None else {"time": time, "logged": None}))
 
     @property
     def stamps(self) -> np.ndarray:
@@ -304,7 +294,7 @@ def read_measurement(path: str | Path) -> Measurement:
         table = Path(recording.source)
         named = table == path
         others = [t for suffix in SUFFIXES if (t := path.with_suffix(suffix)) != table and not named and t.is_file()]
-        return Measurement(recording.name, path, (recording,), {other: _read_instead(table) for other in others})
+        return Measurement(recording.name, path, (recording,), {other: f"{table.name} was read" for other in others})
     tables: dict[str, Path] = {}
     passed_over: dict[Path, str] = {}
     for suffix in SUFFIXES:
@@ -315,7 +305,7 @@ def read_measurement(path: str | Path) -> Measurement:
             if not sidecar.is_file():
                 passed_over[table] = f"{sidecar.name} is missing"
             elif tables.setdefault(table.stem, table) != table:
-                passed_over[table] = _read_instead(tables[table.stem])
+                passed_over[table] = f"{tables[table.stem].name} was read"
     if not tables:
         raise InputError(
             f"{path}: expected tables ({' or '.join(SUFFIXES)}), each with a YAML file of its stem, got none"
@@ -328,10 +318,6 @@ def read_measurement(path: str | Path) -> Measurement:
                 f"{recordings[0].name}.yaml, got {other.joint!r}"
             )
     return Measurement(path.resolve().name, path, recordings, passed_over)
-
-
-def _read_instead(table: Path) -> str:
-    return f"{table.name} was read"
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -393,13 +379,8 @@ def in_arm(
     """
     from .arm_dynamics import Arm
 
-    where = recording.source
     for name, values in angles.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise InputError(
-                f"{where}: column {name!r}, {_row(where, int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
-            )
+        _check_numbers(recording.source, name, values)
     try:
         arm = Arm(spec, folder)
         positions = {str(joint_of(name)): values for name, values in angles.items()}
@@ -510,6 +491,12 @@ def _row(source: str, index: int) -> str:
     """Return a row for messages: counted from 0 without the header, with the line of a CSV file."""
     line = f" (line {index + 2})" if source.endswith(".csv") else ""
     return f"row {index}{line}"
+
+
+def _check_numbers(where: str, name: str, values: np.ndarray) -> None:
+    for i in np.flatnonzero(~(np.abs(values) <= LARGEST))[:1]:
+        wanted = "a finite number" if not np.isfinite(values[i]) else f"a number of at most {LARGEST:g}"
+        raise InputError(f"{where}: column {name!r}, {_row(where, int(i))}: expected {wanted}, got {values[i]}")
 
 
 def check_channels(where: str, columns: Iterable[str]) -> None:

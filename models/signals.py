@@ -7,12 +7,13 @@ A sensor's channel is one entry here, with its field of `joint_parts.Sensors` (n
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from .errors import InputError, nearest
+from .parameters import floats
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ DRIVING: tuple[str, ...] = ("motor_current", "motor_torque", "joint_torque")
 WRENCH: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor == "wrench")
 """Axes of the force/torque sensor; the joint's axis is its y, and positive torque about it drives the link backwards."""
 
-READINGS = np.dtype([(name, np.float64) for name in SENSED])
+READINGS = floats(*SENSED)
 """Readings of all sensors at one instant, as a record for compiled code."""
 
 
@@ -111,12 +112,15 @@ class Signals(Mapping[str, np.ndarray]):
 Sampled = TypeVar("Sampled")
 
 
-def at_samples(record: Sampled, samples: slice | np.ndarray) -> Sampled:
-    """Return a dataclass with its arrays, also those in mappings by name, shape (n, …) each, at some of the samples."""
+def at_samples(record: Sampled, samples: slice | np.ndarray, **others: Any) -> Sampled:
+    """Return a dataclass with its arrays, also those in mappings by name and in dataclasses inside it, shape (n, …) each, at
+    some of the samples; `others`: fields with another value."""
     found: dict[str, Any] = {}
     for name, value in ((f.name, getattr(record, f.name)) for f in fields(record)):  # type: ignore[arg-type]
         if isinstance(value, np.ndarray):
             found[name] = value[samples]
         elif isinstance(value, Mapping):
             found[name] = {key: x[samples] for key, x in value.items()}
-    return replace(record, **found)  # type: ignore[type-var]
+        elif is_dataclass(value):
+            found[name] = at_samples(value, samples)
+    return replace(record, **found | others)  # type: ignore[type-var]

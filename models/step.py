@@ -21,18 +21,10 @@ from numba.np.numpy_support import from_dtype
 
 from .errors import InputError, whole
 from .kernels import c_function
-from .parameters import PARAMETERS
-from .signals import READINGS
+from .parameters import PARAMETERS, floats
+from .signals import SENSED
 
-SAMPLE = np.dtype(
-    [
-        ("time", np.float64),
-        ("interval", np.float64),
-        ("current_command", np.float64),
-        ("arm_torque", np.float64),
-        *READINGS.descr,
-    ]
-)
+SAMPLE = floats("time", "interval", "current_command", "arm_torque", *SENSED)
 """An estimator's inputs at one instant, as a record for compiled code: `time` since the recording's start and
 `interval` since the sample before [s] (0 at the first), the current command in force until now [A], the torque of
 an arm's other joints on the link [N·m], and every reading; NaN for an unknown or unused command, or a missing
@@ -82,7 +74,8 @@ class PythonStep:
         def guarded(*addresses: int) -> int:
             try:
                 at = zip(addresses, records, strict=True)
-                return int(function(*(numpy_at(address, of, 1).view(np.recarray)[0] for address, of in at)))
+                memory = [np.frombuffer(memoryview((ctypes.c_char * of.itemsize).from_address(a)), of) for a, of in at]
+                return int(function(*(one.view(np.recarray)[0] for one in memory)))
             except BaseException as error:  # no exception may pass through compiled code
                 self.error = error
                 return -1
@@ -111,22 +104,13 @@ def step_of(
     Returns:
       A decorator, which gives a `Step` or a `PythonStep` with the records' types as `records`.
     """
-    own = [
-        of if isinstance(of, np.dtype) else np.dtype([(name, np.float64) for name in of]) for of in (settings, outputs)
-    ]
+    own = [of if isinstance(of, np.dtype) else floats(*of) for of in (settings, outputs)]
     records = (memory, SAMPLE, PARAMETERS, *own)
 
     def decorated(function: Callable[..., int]) -> Step | PythonStep:
         return PythonStep(function, records) if plain else Step(function, records)
 
     return decorated
-
-
-def numpy_at(address: int, dtype: np.dtype | type, count: int) -> np.ndarray:
-    """Return the array, shape (count,), at an address."""
-    kind: np.dtype = np.dtype(dtype)
-    memory = (ctypes.c_char * (kind.itemsize * count)).from_address(address)
-    return np.frombuffer(memoryview(memory), dtype=kind)
 
 
 @dataclass(frozen=True)
@@ -140,7 +124,6 @@ class CompiledStep:
     settings: np.ndarray = field(default_factory=lambda: np.zeros(1))
     outputs: int = 1  # length of `out`
     reads_command: bool = False  # whether its samples contain a known current command; else NaN
-    owner: Any = None  # kept alive while the address is used
 
     def arrays(self) -> Arrays:
         """Return address, new memory, record, settings and `out`, for compiled code."""

@@ -7,28 +7,13 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .errors import InputError, first_line
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 ROWS = 1 << 20  # rows of a Parquet group
 Notes = Mapping[str, Mapping[str, str]]
-
-
-def arrow_column(values: np.ndarray) -> pa.Array:
-    """Return numbers, shape (n,), as an Arrow array of float64; without a copy if contiguous.
-
-    `pyarrow.array` would import pandas.
-    """
-    import pyarrow as pa
-
-    numbers = np.ascontiguousarray(values, dtype=np.float64)
-    return pa.Array.from_buffers(pa.float64(), len(numbers), [None, pa.py_buffer(numbers)])
 
 
 class TableWriter:
@@ -59,7 +44,9 @@ class TableWriter:
         """Write the next rows; columns by name, shape (n,) each."""
         import pyarrow as pa
 
-        arrays = [arrow_column(columns[name]) for name in self._schema.names]
+        # `pyarrow.array` would import pandas.
+        numbers = [np.ascontiguousarray(columns[name], dtype=np.float64) for name in self._schema.names]
+        arrays = [pa.Array.from_buffers(pa.float64(), len(x), [None, pa.py_buffer(x)]) for x in numbers]
         with naming(self._path):
             self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 

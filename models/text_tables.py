@@ -206,7 +206,7 @@ def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool 
         return Head(by_number, {}, begin, why)
     # The last line has the names, or the units of those above it.
     *names_first, last = found
-    spelt = [_spelt(cell) for cell in last]
+    spelt = [cell.strip().strip("[](){}").strip().lower() for cell in last]
     is_units = bool(names_first) and 2 * sum(unit in _UNITS for unit in spelt) > len(spelt)
     usual = len(found) - (2 if is_units else 1)
     # A name may be in two lines, as `joint1,joint1` and `position,current`.
@@ -225,10 +225,6 @@ _UNITS = set(
     "- 1 s sec ms us µs ns rad mrad deg ° rev counts ticks rad/s deg/s °/s rpm rad/s^2 rad/s² a ma nm n·m n*m n.m n-m mnm n v mv "
     "°c degc c hz k % w".split()
 ) | {""}
-
-
-def _spelt(cell: str) -> str:
-    return cell.strip().strip("[](){}").strip().lower()
 
 
 def _fitted(row: list[str], late: list[list[str]], width: int) -> list[str] | None:

@@ -113,13 +113,9 @@ def moved(joint: Joint, mounting: Mounting | None, changes: Change) -> np.ndarra
                 value = float(np.clip(parameters[q.name].value + change, *q.bounds))
                 parameters[q.name] = parameters[q.name].model_copy(update={"value": value})
         effects.append(effect.model_copy(update={"parameters": parameters}))
-    discrepancies = [
-        one.model_copy(
-            update={
-                "coefficients": [c + changes.get(f"discrepancies.{i}.{k}", 0.0) for k, c in enumerate(one.coefficients)]
-            }
-        )
-        for i, one in enumerate(joint.discrepancies)
-    ]
+    discrepancies = []
+    for i, one in enumerate(joint.discrepancies):
+        coefficients = [c + changes.get(f"discrepancies.{i}.{k}", 0.0) for k, c in enumerate(one.coefficients)]
+        discrepancies.append(one.model_copy(update={"coefficients": coefficients}))
     joint.model_copy(update={"effects": effects, "discrepancies": discrepancies}).apply_effects(record)
     return record

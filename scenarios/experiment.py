@@ -118,6 +118,8 @@ class Experiment:
         feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
         if self.fed_back is not None:
             feedback = self.fed_back.step(self.known, CONTROL_PERIOD)
+        # The drive knows ratio and limit of the plant, everything else as the estimators.
+        known = self.known.with_numbers(N=p["N"], current_limit=p["current_limit"]).p
         return Driven(
             record,
             self.command,
@@ -125,9 +127,7 @@ class Experiment:
             self.external_torque,
             sensors.sensor_records(self.joint, float(p["link_delay"]), CONTROL_PERIOD),
             sensors.noise(self.joint, seed, len(self.command), CONTROL_PERIOD),
-            scenario.controller.record(
-                self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none", scenario.mode
-            ),
+            scenario.controller.record(known, CONTROL_PERIOD, scenario.feedback != "none", scenario.mode),
             feedback,
             self.temperature,
             self.tip_force,
@@ -172,13 +172,6 @@ class Experiment:
             partial(sensors.stream, self.scenario.seed if seed is None else seed),
         )
         return replace(simulation, further=own)
-
-    def _known_to_the_drive(self, p: np.void) -> np.void:
-        """Parameters of the drive's controller: ratio and limit of the plant, everything else as the estimators know it."""
-        record = self.known.record.copy()
-        for name in ("N", "current_limit"):
-            record[0][name] = p[name]
-        return record[0]
 
 
 def with_known_payloads(simulation: Simulation, scenario: Scenario, link: Mounting) -> Simulation:

@@ -26,19 +26,13 @@ class AddedMotion(Strict):
     """Shape over time. A chirp's frequency grows exponentially; a multisine has phases with a low peak (Schroeder)."""
     start: Annotated[float, Field(ge=0, description="s")] = 0.0
     duration: Annotated[float | None, Field(gt=0, description="s; of a file: to its last time")] = None
-    amplitude: Annotated[
-        float,
-        Field(gt=0, description="peak of a sine or chirp, RMS times √2 of a multisine, factor of a file's commands"),
-    ] = 1.0
+    amplitude: Annotated[float, Field(gt=0)] = 1.0
+    """Peak of a sine or chirp, RMS times √2 of a multisine, factor of a file's commands."""
     frequency: Annotated[float | None, Field(gt=0, description="Hz; of chirp and multisine the lowest")] = None
     end_frequency: Annotated[float | None, Field(gt=0, description="Hz, the highest")] = None
     lines: Annotated[int, Field(ge=2, le=2000, description="sines in a multisine, evenly apart in frequency")] = 30
-    file: Annotated[
-        str | None,
-        Field(
-            description="CSV or Parquet with columns `time` [s] and `position`, `velocity` or `torque`, as the waypoints have it"
-        ),
-    ] = None
+    file: str | None = None
+    """CSV or Parquet with columns `time` [s] and `position`, `velocity` or `torque`, as the waypoints have it."""
 
     @model_validator(mode="after")
     def _complete(self) -> AddedMotion:

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 
 from ..estimator import registry
-from ..estimator.compliance import compliance
 from ..estimator.estimator import KnownJoint, Posterior
+from ..models import laws
 from ..models.arm import ArmRecord
 from ..models.arm_dynamics import Arm
 from ..models.controller import MODES
 from ..models.errors import InputError, nearest
 from ..models.joint import Joint
 from ..models.joint_parts import beyond_sentence
+from ..models.kernels import kernel
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import Recording, with_load
@@ -135,8 +136,7 @@ class Run:
     def kinematic_error(self) -> np.ndarray:
         """Kinematic error of the plant [rad] at the true angle of its wave generator, shape (n,)."""
         record = self.joint.record(self.scenario.mount(self.joint))
-        # With zero torque, the compliance model's kinematic error is that at the given angle θw.
-        return compliance(self.truth("wave_generator_position"), 0.0, 0.0, record).kinematic_error
+        return _kinematic_errors(self.truth("wave_generator_position"), record)
 
     def truth(self, name: str) -> np.ndarray:
         """Return a true signal, one of `sim.loop.TRUTH`, shape (n,); `InputError` for another name."""
@@ -244,6 +244,11 @@ class Run:
             recording.time, self.reading("link_position"), arm.positions, recording.segments
         )
         return replace(recording, link=link, load=load, arm=arm)
+
+
+@kernel
+def _kinematic_errors(theta_w: np.ndarray, record: np.ndarray) -> np.ndarray:
+    return np.array([laws.kinematic_error(x, record[0]) for x in theta_w])
 
 
 def _field(records: np.ndarray, name: str, kind: str) -> np.ndarray:

@@ -6,6 +6,7 @@ import platform
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -121,15 +122,20 @@ def signal_columns(run: Run) -> dict[str, np.ndarray]:
 
 def provenance(run: Run) -> dict[str, Any]:
     """Return seed, timestep and versions of a run."""
-    packages = ("flexspline", "mujoco", "numpy", "scipy", "numba")
     return {
         "format": 1,
         "scenario": run.name,
         "seed": run.scenario.seed,
         "timestep": run.scenario.timestep,
         "control_period": CONTROL_PERIOD,
-        "versions": {name: metadata.version(name) for name in packages} | {"python": platform.python_version()},
+        "versions": versions() | {"python": platform.python_version()},
     }
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that determine the bits of a result."""
+    return {name: metadata.version(name) for name in ("flexspline", "mujoco", "numpy", "scipy", "numba")}
 
 
 def _unit_of(column: str) -> str:

@@ -40,9 +40,8 @@ class Waypoint(Strict):
     position: Annotated[float | None, Field(description="of the link, rad; 0 is straight down")] = None
     velocity: Annotated[float | None, Field(description="of the link, rad/s")] = None
     torque: Annotated[float | None, Field(description="of the motor at the output, N·Kt·i, N·m")] = None
-    profile: Annotated[Literal["minimum_jerk", "linear"], Field(description="of the motion that ends here")] = (
-        "minimum_jerk"
-    )
+    profile: Literal["minimum_jerk", "linear"] = "minimum_jerk"
+    """Of the motion that ends here."""
 
     @model_validator(mode="after")
     def _one_command(self) -> Waypoint:
@@ -70,10 +69,8 @@ class Disturbance(Strict):
     """Shape over time."""
     start: Annotated[float, Field(ge=0, description="s")]
     duration: Annotated[float, Field(gt=0, description="s")]
-    torque: Annotated[
-        float,
-        Field(description="largest value, N·m; positive pushes forward. Of a walk: standard deviation at its end"),
-    ]
+    torque: float
+    """Largest value, N·m; positive pushes forward. Of a walk: standard deviation at its end."""
     lever: Annotated[float, Field(ge=0, description="distance of the force from the axis, m; 0: a pure torque")] = 0.4
     cycles: Annotated[float, Field(gt=0, description="periods of a sine within the duration")] = 1.0
 
@@ -145,13 +142,11 @@ class Scenario(Strict):
     figure: Annotated[str, Field(description="the paper's figure that this reproduces")] = ""
     joint: Annotated[str, Field(description="a shipped joint's name or a path")] = "test-joint"
     known_joint: Annotated[str, Field(description="what the estimators know; the joint itself by default")] = ""
-    plant: Annotated[
-        dict[str, float], Field(description="numbers of the plant that the estimators do not know, SI")
-    ] = {}
+    plant: dict[str, float] = {}
+    """Numbers of the plant that the estimators do not know, SI."""
     mounting: Annotated[str, Field(description="of the joint; its default where empty")] = ""
-    link: Annotated[Mounting | None, Field(description="payload of the output, instead of a mounting by its name")] = (
-        None
-    )
+    link: Mounting | None = None
+    """Payload of the output, instead of a mounting by its name."""
     duration: Annotated[float, Field(gt=0, description="s; an hour at most: a run is held in memory")]
     timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
@@ -160,9 +155,8 @@ class Scenario(Strict):
     """Hold the rotor still; only the disturbances turn the output."""
     trajectory: Annotated[list[Waypoint], Field(min_length=1)]
     """Commanded positions of the link, or velocities, or torques: position, velocity or torque control."""
-    start: Annotated[
-        float | None, Field(description="of the link, rad; position control starts at its first waypoint")
-    ] = None
+    start: float | None = None
+    """Of the link, rad; position control starts at its first waypoint."""
     motions: list[AddedMotion] = []
     """Added to the trajectory."""
     disturbances: list[Disturbance] = []
@@ -171,32 +165,22 @@ class Scenario(Strict):
     """Masses that the link picks up and puts down, in addition to its mounting."""
     known_payloads: bool = True
     """Whether the estimators and the recording know the payloads."""
-    sensors: Annotated[
-        dict[str, Any] | Literal["realistic"],
-        Field(
-            description="changes to the joint's sensors, or `realistic`: realistic sensors, clock and drive; with changes to "
-            "these: `{realistic: true, …}`"
-        ),
-    ] = {}
-    current: Annotated[
-        Literal["command", "sensor"],
-        Field(
-            description="motor current for the paper's filters: the drive's command, as in the paper, or the sensor's reading, "
-            "as for all other estimators"
-        ),
-    ] = "command"
+    sensors: dict[str, Any] | Literal["realistic"] = {}
+    """Changes to the joint's sensors, or `realistic`: realistic sensors, clock and drive; with changes to these:
+    `{realistic: true, …}`."""
+    current: Literal["command", "sensor"] = "command"
+    """Motor current for the paper's filters: the drive's command, as in the paper, or the sensor's reading, as for all other
+    estimators."""
     jitter: Annotated[float, Field(ge=0, lt=1e-3, description="of the time stamps, s rms")] = 0.0
     controller: Controller = Controller()
     """Of the drive; keys that it does not state are the joint's, if that has a `controller`."""
     feedback: Annotated[str, Field(description="filter whose estimate is fed back, `sensor`, or `none`")] = "none"
-    temperature: Annotated[Temperature, Field(description="of the gear, °C")] = Temperature(
-        start=REFERENCE_TEMPERATURE, end=REFERENCE_TEMPERATURE
-    )
+    temperature: Temperature = Temperature(start=REFERENCE_TEMPERATURE, end=REFERENCE_TEMPERATURE)
+    """Of the gear, °C."""
     filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)
     """Estimators by name, or with a new name and tuning parameters."""
-    record: Annotated[
-        list[str], Field(description="sensors in the recording; by default those that the joint states")
-    ] = []
+    record: list[str] = []
+    """Sensors in the recording; by default those that the joint states."""
     transient: Annotated[float, Field(ge=0, description="s at the start that metrics leave out")] = 1.0
     _given: dict[str, Joint] = PrivateAttr(default_factory=dict)
 
@@ -385,7 +369,7 @@ class Scenario(Strict):
         if joint.controller is None:
             return self
         own = self.controller
-        chosen = joint.controller.changed_by(own)
+        chosen = joint.controller.model_copy(update={key: getattr(own, key) for key in own.model_fields_set})
         if self.sensors_are_realistic and own == Controller().lagging(own.delay):  # not stated by anyone
             chosen = joint.controller if joint.controller.delay else joint.controller.lagging(own.delay)
         return self.model_copy(update={"controller": chosen})
@@ -485,11 +469,15 @@ def read_scenario(
     changes = changes or []
     _make_room(data, [change.partition("=")[0] for change in changes])
     for i, change in enumerate(changes):
-        key = change.partition("=")[0]
+        key, sign, text = change.partition("=")
+        if not sign or not key:
+            raise InputError(
+                f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key"
+            )
         lost = next((before for before in changes[:i] if before.startswith(f"{key}.")), None)
         if lost is not None:
             raise InputError(f"--set {change}: it would discard --set {lost}: expected --set {key} first")
-        _override(data, change)
+        put(data, key, _from_here(key, yaml_value(text)), f"--set {change}")
     if seed is not None:
         data["seed"] = seed
     return data, path
@@ -534,13 +522,6 @@ def _from_here(key: str, value: Any) -> Any:
     if is_path and Path(str(value)).is_file():
         return str(Path(str(value)).resolve())
     return str(value) if isinstance(value, Path) else value
-
-
-def _override(data: dict[str, Any], change: str) -> None:
-    key, sign, text = change.partition("=")
-    if not sign or not key:
-        raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
-    put(data, key, _from_here(key, yaml_value(text)), f"--set {change}")
 
 
 def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..models import dynamics
 from ..models.kernels import kernel
-from ..models.parameters import REFERENCE_TEMPERATURE
+from ..models.parameters import REFERENCE_TEMPERATURE, floats
 from ..models.pointers import call_estimator, call_step, floats_at, ints_at, word_at
 from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
@@ -30,15 +30,9 @@ from .sensors import distort, low_pass, sample
 
 CONTROL_PERIOD = 0.001  # period [s] of sensors, estimators and position controller
 
-TRUTH = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "motor_position", "wave_generator_position", "link_position",
-            "motor_velocity", "wave_generator_velocity", "link_velocity",
-            "motor_current", "wave_generator_torque", "flexspline_torque", "joint_torque", "bristle", "dahl",
-        )
-    ]
+TRUTH = floats(
+    "motor_position", "wave_generator_position", "link_position", "motor_velocity", "wave_generator_velocity", "link_velocity",
+    "motor_current", "wave_generator_torque", "flexspline_torque", "joint_torque", "bristle", "dahl",
 )  # fmt: skip
 """The true state at one instant, as a record."""
 
@@ -49,15 +43,10 @@ _JOINT_AXIS = SENSED.index("torque_y")
 
 
 _FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "xaxis", "sensordata", "plugin_state", "disableflags")
-_ADDRESSES = np.dtype(
-    [
-        (name, np.int64)
-        for name in (
-            *_FIELDS, "current", "memory", "force", "torque", "link_body", "link_joint", "rotor", "wave_generator", "link",
-            "motor",
-        )
-    ]
+_PLACES = (
+    "current", "memory", "force", "torque", "link_body", "link_joint", "rotor", "wave_generator", "link", "motor",
 )  # fmt: skip
+_ADDRESSES = np.dtype([(name, np.int64) for name in (*_FIELDS, *_PLACES)])
 """Addresses of a joint's data: fields in MuJoCo's structures (`native.offsets`), the current in `act` (−1: none),
 `plant.memory` in the plugin state, sensors in `sensordata`, the numbers of the link's body and joint, the three
 coordinates, the motor."""
@@ -152,10 +141,7 @@ class ClosedLoop:
         controller = np.concatenate([one.controller for one in joints])
         drive = np.zeros((len(joints), 3))
         drive[:, 0] = controller["gear"] * start
-        crosstalk = np.zeros((len(joints), 6, 6))
-        for i, one in enumerate(joints):
-            if one.crosstalk is not None:
-                crosstalk[i] = one.crosstalk
+        crosstalk = np.stack([np.zeros((6, 6)) if one.crosstalk is None else one.crosstalk for one in joints])
         self._alive = model, data, steps, kept  # keep alive: compiled code uses their addresses
         self._constant = (
             native.function_address("mj_step"), model._address, data._address,
@@ -258,7 +244,7 @@ def _addresses(model: mujoco.MjModel, data: mujoco.MjData, prefix: str) -> np.nd
     for name in _FIELDS:
         at[name] = native.offsets()[name]
     motor = model.actuator(prefix + "motor").id
-    at["current"] = plant.activation(model, prefix + "motor") if model.actuator_actnum[motor] else -1
+    at["current"] = model.actuator_actadr[motor] if model.actuator_actnum[motor] else -1
     at["memory"] = model.plugin_stateadr[plant.instance(model, prefix)]
     at["force"], at["torque"] = (model.sensor(prefix + name).adr[0] for name in ("force", "torque"))
     at["link_body"] = model.site(prefix + "force_torque").bodyid[0]

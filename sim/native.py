@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,17 +39,8 @@ def function_address(name: str) -> int:
     return int(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)
 
 
-def install(name: str, address: int | None) -> None:
-    """Install a C function as a global callback (`mjcb_passive` and others); None removes it."""
-    _place(name).value = address
-
-
-def installed(name: str) -> bool:
-    """Return whether a global callback is set."""
-    return bool(_place(name).value)
-
-
-def _place(name: str) -> ctypes.c_void_p:
+def _callback(name: str) -> ctypes.c_void_p:
+    """Return the place of a global callback, whose `value` is the function's address, None without one."""
     return ctypes.c_void_p.in_dll(library(), name)
 
 
@@ -69,7 +60,7 @@ class _Replacement:
             ours = self._inside > 0 or self._wanted()
             if ours:
                 if self._inside == 0:
-                    place = _place(self._name)
+                    place = _callback(self._name)
                     self._before, place.value = place.value, self._function()
                 self._inside += 1
         try:
@@ -79,23 +70,17 @@ class _Replacement:
                 with self._lock:
                     self._inside -= 1
                     if self._inside == 0:
-                        install(self._name, self._before)
+                        _callback(self._name).value = self._before
 
 
 _ignore = ctypes.CFUNCTYPE(None, ctypes.c_char_p)(lambda message: None)
-_quiet = _Replacement(
+quiet = _Replacement(
     "mju_user_warning",
     lambda: int(ctypes.cast(_ignore, ctypes.c_void_p).value or 0),
-    lambda: not installed("mju_user_warning"),
+    lambda: not _callback("mju_user_warning").value,
 )
-
-
-def quiet() -> AbstractContextManager[None]:
-    """Suppress MuJoCo's warnings on the terminal and in MUJOCO_LOG.TXT; it still counts them (`mjData.warning`).
-
-    Several threads may enter it. Another handler is kept.
-    """
-    return _quiet()
+"""`with quiet():` suppresses MuJoCo's warnings on the terminal and in MUJOCO_LOG.TXT; it still counts them (`mjData.warning`).
+Several threads may enter it. Another handler is kept."""
 
 
 def _no_time():
@@ -113,16 +98,10 @@ def _no_own_clock() -> bool:
     return mujoco.get_mjcb_time() is None
 
 
-_untimed = _Replacement("mjcb_time", lambda: int(_clock_stopped().address), _no_own_clock)
-
-
-def untimed() -> AbstractContextManager[None]:
-    """Stop MuJoCo's clock for `mjData.timer`, which takes a fifth of a step.
-
-    MuJoCo's Python package installs that clock. Several threads may enter; another clock is kept. The clock is
-    stopped, not removed, as another thread may be about to call it.
-    """
-    return _untimed()
+untimed = _Replacement("mjcb_time", lambda: int(_clock_stopped().address), _no_own_clock)
+"""`with untimed():` stops MuJoCo's clock for `mjData.timer`, which takes a fifth of a step. MuJoCo's Python package installs
+that clock. Several threads may enter; another clock is kept. It is stopped, not removed, as another thread may be about to
+call it."""
 
 
 @cache

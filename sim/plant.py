@@ -151,11 +151,6 @@ def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | Non
             state[plugin.DAHL] = -np.sign(rate) * x * np.expm1(abs(rate) * h / x)
 
 
-def activation(model: mujoco.MjModel, actuator: str) -> int:
-    """Return the address of an actuator's activation."""
-    return int(model.actuator_actadr[model.actuator(actuator).id])
-
-
 def set_options(spec: mujoco.MjSpec, timestep: float) -> None:
     spec.option.timestep = timestep
     # No contacts, and no joint limits.

@@ -15,16 +15,12 @@ import numpy as np
 from ..models.joint import Joint
 from ..models.joint_parts import AnalogSpec, EncoderSpec, WrenchSpec
 from ..models.kernels import kernel
+from ..models.parameters import floats
 from ..models.signals import CHANNELS, READINGS, SENSED
 
-SENSOR = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "step", "delay", "period", "pass_now", "pass_before", "at_step", "ripple_order", "ripple_amplitude",
-            "ripple_phase", "crosstalk", "cyclic_error",
-        )
-    ]
+SENSOR = floats(
+    "step", "delay", "period", "pass_now", "pass_before", "at_step", "ripple_order", "ripple_amplitude", "ripple_phase",
+    "crosstalk", "cyclic_error",
 )  # fmt: skip
 """A sensor as one record for compiled code: step of quantisation, delay [s], sample period [s], its low-pass
 (`low_pass`; 1 and 0 without one), whether it is read after the plant's step, ripple over the motor's angle,
@@ -74,7 +70,11 @@ def noise(joint: Joint, seed: int, samples: int, dt: float) -> np.ndarray:
     found = np.zeros(samples, READINGS)
     for name in SENSED:
         spec = joint.sensors.of(CHANNELS[name])
-        if (white := _rms(spec, name)) > 0.0:
+        if isinstance(spec, WrenchSpec):
+            white = spec.force_noise if name.startswith("force") else spec.torque_noise
+        else:
+            white = spec.noise
+        if white > 0.0:
             found[name] = white * stream(seed, name).standard_normal(samples)
         if isinstance(spec, AnalogSpec) and spec.flicker > 0.0:
             found[name] += spec.flicker * flicker(samples, stream(seed, f"{name} flicker"))
@@ -83,12 +83,6 @@ def noise(joint: Joint, seed: int, samples: int, dt: float) -> np.ndarray:
             angle = 2 * np.pi * spec.vibration.frequency * dt * np.arange(samples) + phase
             found[name] += math.sqrt(2.0) * spec.vibration.amplitude * np.sin(angle)
     return found
-
-
-def _rms(spec: EncoderSpec | AnalogSpec | WrenchSpec, channel: str) -> float:
-    if isinstance(spec, WrenchSpec):
-        return spec.force_noise if channel.startswith("force") else spec.torque_noise
-    return spec.noise
 
 
 def flicker(samples: int, rng: np.random.Generator) -> np.ndarray:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
+from ..models.tables import read_table
 from . import native, plant
 from .plugin import LINK, MEMORY, transmission_at
 
@@ -23,6 +21,10 @@ LIMITS = {"torsion": 0.005, "joint_torque": 0.003, "motor_current": 0.005}
 """Largest RMS difference, relative to the reference's standard deviation."""
 LOOP_LIMITS = {"torsion loop": 0.01, "width at zero torque": 0.02}
 """Largest difference of the locked-rotor loop: RMS relative to its torsion range; width relative to the width."""
+_COLUMNS = (
+    "position_command", "velocity_command", "external_torque", "motor_position", "link_position", "motor_current",
+    "joint_torque",
+)  # fmt: skip
 _GAIN, _DAMPING = 8.0, 0.08  # A/rad, A·s/rad: the reference's controller
 _PERIOD = 0.001
 _LOCKED = Mounting(inertia=0.05, gravity_moment=0.0)
@@ -57,22 +59,13 @@ def verify(folder: Path, joint: Joint, timestep: float = plant.TIMESTEP) -> list
 def _verify(folder: Path, joint: Joint, timestep: float) -> list[Difference]:
     differences = []
     for name, mounting in CLOSED_LOOP.items():
-        reference = _read(
-            folder / f"{name}.parquet",
-            (
-                *("position_command", "velocity_command", "external_torque"),
-                *("motor_position", "link_position", "motor_current", "joint_torque"),
-            ),
-        )
+        reference = _read(folder / f"{name}.parquet", _COLUMNS)
         ours = closed_loop(joint, joint.mount(mounting), reference, timestep)
         torsion = reference["motor_position"] / joint.numbers["N"].value - reference["link_position"]
-        for channel, theirs in (
-            ("torsion", torsion),
-            ("joint_torque", reference["joint_torque"]),
-            ("motor_current", reference["motor_current"]),
-        ):
+        for channel, limit in LIMITS.items():
+            theirs = torsion if channel == "torsion" else reference[channel]
             relative = float(np.sqrt(np.mean((ours[channel] - theirs) ** 2)) / np.std(theirs))
-            differences.append(Difference(name, channel, relative, LIMITS[channel]))
+            differences.append(Difference(name, channel, relative, limit))
     reference = _read(folder / "locked_rotor.parquet", ("external_torque", "link_position", "flexspline_torque"))
     link, torque = locked_rotor(joint, reference["external_torque"], timestep)
     theirs = reference["link_position"]
@@ -164,20 +157,11 @@ def _read(path: Path, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: cannot read a reference solution: not a file")
     if not path.exists():
         raise InputError(f"{path}: expected a reference solution, found no such file")
-    try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else "not a Parquet file"
-        raise InputError(f"{path}: cannot read a reference solution: {reason}") from error
+    found, _ = read_table(path)
     for column in columns:
-        if column not in table.column_names:
-            raise InputError(f"{path}: expected a column {column!r}, got {', '.join(table.column_names)}")
-    found = {}
-    for column in columns:
-        try:
-            found[column] = table[column].to_numpy().astype(np.float64)
-        except (TypeError, ValueError):
-            found[column] = np.zeros(0)
-        if len(found[column]) < 2 or not np.isfinite(found[column]).all():
+        if column not in found:
+            raise InputError(f"{path}: expected a column {column!r}, got {', '.join(found)}")
+        values = found[column]
+        if values.dtype.kind not in "fiu" or len(values) < 2 or not np.isfinite(values).all():
             raise InputError(f"{path}: column {column!r}: expected two or more finite numbers, got others")
-    return found
+    return {column: found[column].astype(np.float64) for column in columns}

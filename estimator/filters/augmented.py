@@ -61,6 +61,7 @@ import numpy as np
 
 from ...models import dynamics, laws
 from ...models.kernels import kernel
+from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint
@@ -78,28 +79,17 @@ MOVING, INPUTS, FIXED = MESH + 1, LATE + 1, FRICTION
 _TURN = 0.7  # largest angle [rad] of the fastest spring in a substep
 _MOST = 200  # most substeps of a sample
 _BEYOND = 1.25  # torque [rated torque] beyond which the wave generator gets no stiffer, to limit a wrong stiffness
-_FIELDS = (
+SETTINGS = floats(
     "link_variance", "torsion_variance", "rotor_walk", "torque_variance", "mesh_walk", "bristle_walk", "presliding",
-    "spring_walk", "loose",
-    "external_quiet", "external_loud", "level", "level_time", "level_loud", "free", "gate", "memory", "low", "high", "wander",
-    "interval", "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse", "stiffest", "link_half",
-    "link_count",
+    "spring_walk", "loose", "external_quiet", "external_loud", "level", "level_time", "level_loud", "free", "gate", "memory",
+    "low", "high", "wander", "interval", "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse",
+    "stiffest", "link_half", "link_count", ("prior", SIZE), ("learned", SIZE), ("order", ORDERS),
 )  # fmt: skip
-SETTINGS = np.dtype(
-    [(name, np.float64) for name in _FIELDS]
-    + [("prior", np.float64, SIZE), ("learned", np.float64, SIZE), ("order", np.float64, ORDERS)]
-)
-MEMORY = np.dtype(
-    [
-        ("torsion", TORSION),
-        ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
-        ("F", np.float64, (MOVING, SIZE)), ("A", np.float64, (MOVING, SIZE)),
-        *((name, np.float64) for name in (
-            "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
-            "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held", "jitter", "last", "touched",
-            "late", "seen",
-        )),
-    ]
+MEMORY = floats(
+    ("torsion", TORSION), ("x", SIZE), ("P", (SIZE, SIZE)), ("H", SIZE), ("PH", SIZE), ("F", (MOVING, SIZE)),
+    ("A", (MOVING, SIZE)), "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief",
+    "evidence", "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held", "jitter", "last", "touched",
+    "late", "seen",
 )  # fmt: skip
 """Memory of `measure`; state, covariance, scratch; last reading of the motor encoder; mean NIS of torsion and link
 encoder; durations [s] of calm, of sliding in it, and since large innovations of the link encoder; whether the
@@ -108,10 +98,10 @@ sample [N·m, motor side], mean square of its changes; mean interval [s], and nu
 last stamp against the grid of samples; last reading of the link encoder, number of samples in which both encoders
 kept their counts; mean square time error of samples [s²], last innovation of the link encoder [rad]; duration of a
 contact [s]; mean square time error of a sample over its interval's from the period, and the weight that it has."""
-OUT = np.dtype([(n, np.float64) for n in (
+OUT = floats(
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "friction_error",
-)])  # fmt: skip
+)  # fmt: skip
 _LEVEL_TIME = 5.0  # correlation time [s] of the friction model's error
 _DOUBT = 2.0  # mean NIS that is more than scatter, 0.5 about 1
 _FIRST_BEATS, _BEATS = 100.0, 1e4  # weight of the nominal interval, and number of intervals in the mean
@@ -396,13 +386,6 @@ def _flank(torsion, p):
 
 
 @kernel
-def _softness(torque, p):
-    """Return the compliance of the wave generator [rad/(N·m), motor side] at a torque [N·m, motor side]: Eq. (4)
-    inverted."""
-    return math.exp(-p.Cw * abs(torque)) / p.Kw0
-
-
-@kernel
 def _new_count(m, c):
     """Reset the position within the motor encoder's count."""
     m.x[COUNT] = 0.0
@@ -534,7 +517,8 @@ def _step(m, s, p, c, o):
     # Torsion.
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
     wound, asked = laws.wave_generator_torsion(x[WOUND], p), laws.wave_generator_torsion(found.motor_torque, p)
-    torsion, soft, zero = found.torsion + (asked - wound) * ratio, _softness(x[WOUND], p), x[ZERO]
+    soft = math.exp(-p.Cw * abs(x[WOUND])) / p.Kw0  # compliance of the wave generator: Eq. (4) inverted
+    torsion, zero = found.torsion + (asked - wound) * ratio, x[ZERO]
     e, K = _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c)
     # If constants are learned: about the resulting zero (an iterated update, Bell and Cathey 1993).
     for _ in range(_TRIES if learn_torsion < math.inf else 0):
@@ -644,17 +628,13 @@ class Augmented(CausalEstimator):
         c["loose"] = (_LOOSE * scale) ** 2
         c["external_quiet"], c["external_loud"] = self.external * scale, self.push * scale
         c["level"], c["level_loud"] = math.hypot(self.level, self.unsure * joint.friction) * Fc, self.surge * Fc
-        c["level_time"] = _LEVEL_TIME
-        c["free"], c["gate"], c["back"] = self.free * scale, self.gate, self.back
-        c["memory"], c["low"], c["high"] = self.memory, self.low, self.high
-        c["least"] = self.least * scale
+        c["level_time"], c["free"], c["least"] = _LEVEL_TIME, self.free * scale, self.least * scale
+        for name in ("gate", "back", "memory", "low", "high", "settled", "pause", "every", "wait"):
+            c[name] = getattr(self, name)
         c["wander"], c["half"] = joint.link_wander, 0.5 * noise.motor_resolution
         c["stiffest"] = min(_BEYOND * p["Cw"] * joint.rated_torque / p["N"], -math.log(laws.LOGARITHM_END))
         c["sliding"] = 2.5 * p["vs"]
-        c["settled"], c["coarse"] = self.settled, (self.coarse * scale) ** 2
-        c["interval"] = interval
-        c["pause"], c["every"] = self.pause, self.every
-        c["wait"] = self.wait
+        c["coarse"], c["interval"] = (self.coarse * scale) ** 2, interval
         if joint.load_error > 0.0:  # an unknown load is a persistent contact that includes pushes
             c["external_quiet"], c["external_loud"], c["wait"] = _CARRIED * joint.load_error, 0.0, math.inf
         prior = c["prior"]

@@ -35,22 +35,21 @@ import numpy as np
 
 from ...models import dynamics, laws
 from ...models.kernels import kernel
+from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint
 from ..sensing import arm_torque, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
-OBSERVER = np.dtype([(name, np.float64) for name in (
+OBSERVER = floats(
     "motor_position", "link_position", "motor_velocity", "link_velocity", "bristle", "drive_sum", "link_sum", "drive_residual",
     "link_residual", "ratio", "load", "joint_torque",
-)])  # fmt: skip
+)  # fmt: skip
 """Memory of both observers: corrected angles and velocities, sums ∫ (known + r) dt, residuals r, joint torque Ts."""
-MEMORY = np.dtype([("torsion", TORSION), ("observer", OBSERVER), ("weight", np.float64), ("offset", np.float64)])
-SETTINGS = np.dtype([(name, np.float64) for name in ("gain", "cutoff", "turning", "smoothing", "follow")])
-OUT = np.dtype([(name, np.float64) for name in (
-    "torque", "external_torque", "joint_torque_observed", "motor_velocity", "link_velocity", "bristle",
-)])  # fmt: skip
+MEMORY = floats(("torsion", TORSION), ("observer", OBSERVER), "weight", "offset")
+SETTINGS = floats("gain", "cutoff", "turning", "smoothing", "follow")
+OUT = floats("torque", "external_torque", "joint_torque_observed", "motor_velocity", "link_velocity", "bristle")
 
 
 @kernel

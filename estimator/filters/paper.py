@@ -37,6 +37,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ...models.errors import InputError, nearest
+from ...models.parameters import floats
 from ...models.step import Step, step_of
 from .. import recursion
 from ..compliance import TORSION, measure, measurement_variance, torque_variance
@@ -61,28 +62,22 @@ _CHOICES = {
     "covariance": ("unadjusted", "adjusted"),
 }
 
-MEMORY = np.dtype([("torsion", TORSION), ("filter", STATE)])
-OUT = np.dtype([*STATE.descr, ("measurement", np.float64)])
+MEMORY = floats(("torsion", TORSION), ("filter", STATE))
+OUT = floats(*(STATE.names or ()), "measurement")
 
 
 @step_of(MEMORY, SETTINGS, OUT)
 def _step(m, s, p, c, o):
     y = measure(m.torsion, s, p).torque
-    f = m.filter
-    status = recursion.OK
+    f, status = m.filter, recursion.OK
     if s.interval == 0.0:
         recursion.start(f, y, c)
     else:
         status = recursion.update(f, y, c)
-    o.torque, o.variance, o.innovation, o.innovation_variance = (
-        f.torque,
-        f.variance,
-        f.innovation,
-        f.innovation_variance,
-    )
-    o.unadjusted_innovation_variance = f.unadjusted_innovation_variance
-    o.innovation_memory_variance = f.innovation_memory_variance
-    o.alpha, o.f_alpha, o.robust, o.nis, o.measurement = f.alpha, f.f_alpha, f.robust, f.nis, y
+    o.torque, o.variance, o.innovation = f.torque, f.variance, f.innovation
+    o.innovation_variance, o.unadjusted_innovation_variance = f.innovation_variance, f.unadjusted_innovation_variance
+    o.innovation_memory_variance, o.alpha, o.f_alpha = f.innovation_memory_variance, f.alpha, f.f_alpha
+    o.robust, o.nis, o.measurement = f.robust, f.nis, y
     return status
 
 

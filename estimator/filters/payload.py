@@ -17,6 +17,7 @@ import numpy as np
 from ...models import dynamics
 from ...models.kernels import kernel
 from ...models.motion import CUTOFF, smooth
+from ...models.parameters import floats
 from ...models.signals import Signals
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from .. import smoothed
@@ -29,13 +30,13 @@ DECIMATION = 4  # grid steps per sample of the regression
 _ITERATIONS = 10
 _SECOND = 1.5  # cutoff of the second low-pass over that of the first
 
-MEMORY_RECORD = np.dtype([
-    ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("motor", LOWPASS, 2), ("link", LOWPASS, 2), ("drive", LOWPASS, 2),
-])  # fmt: skip
-SETTINGS = np.dtype([("cutoff", np.float64), ("noise", np.float64), ("prior", np.float64, (SIZE, 2))])
-OUT = np.dtype([(n, np.float64) for n in (
+MEMORY_RECORD = floats(
+    ("x", SIZE), ("P", (SIZE, SIZE)), ("motor", LOWPASS, 2), ("link", LOWPASS, 2), ("drive", LOWPASS, 2)
+)
+SETTINGS = floats("cutoff", "noise", ("prior", (SIZE, 2)))
+OUT = floats(
     "torque", "external_torque", "payload_sin", "payload_cos", "payload_inertia", "back_driven_friction", "friction_error",
-)])  # fmt: skip
+)  # fmt: skip
 
 
 @kernel
@@ -120,8 +121,7 @@ class PayloadSmoothed(Estimator):
         own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
         own -= smoothed.arm_torque(motion, signals)
         x = observe(joint, motion.every(DECIMATION), own[::DECIMATION], current)
-        known, grid, external = np.array(x[:4]), motion.time, np.empty(len(own))
-        _external_torques(known, motion.link_position, motion.link_acceleration, external)
+        grid, external = motion.time, _external_torques(np.array(x[:4]), motion.link_position, motion.link_acceleration)
         del motion
         own -= external
         torque, external = (np.interp(signals.time, grid, values) for values in (own, external))
@@ -150,9 +150,8 @@ def observe(joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray, current
 
 
 @kernel
-def _external_torques(x, link, a, out):
-    for i in range(len(out)):
-        out[i] = external_torque(x, link[i], a[i])
+def _external_torques(x, link, a):
+    return np.array([external_torque(x, link[i], a[i]) for i in range(len(a))])
 
 
 @kernel

@@ -34,14 +34,8 @@ class JointInArm(Scenario):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     """Name in the arm (with `model`: of its hinge), of its folder, and of the column of its angle in the others' recordings."""
     length: Annotated[float, Field(gt=0, le=10, description="from its axis to the next axis, m")] = 0.4
-    turn: Annotated[
-        float,
-        Field(
-            ge=-math.pi,
-            le=math.pi,
-            description="turn of its axis about the link before it, relative to the axis before, rad",
-        ),
-    ] = 0.0
+    turn: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
+    """Turn of its axis about the link before it, relative to the axis before, rad."""
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -110,7 +104,8 @@ class ArmScenario(Strict):
             shared = {key: given[key] for key in _SHARED if key in given}
             seed = given.get("seed", 1)
             if isinstance(seed, int) and seed >= 0:
-                shared["seed"] = _seed(seed, str(one.get("name", "")))
+                entropy = [seed, zlib.crc32(str(one.get("name", "")).encode())]
+                shared["seed"] = int(np.random.SeedSequence(entropy).generate_state(1)[0])
             pushes = one.get("disturbances")
             if isinstance(pushes, list):
                 shared["disturbances"] = [{"lever": 0.0} | d if isinstance(d, dict) else d for d in pushes]
@@ -183,11 +178,6 @@ class ArmScenario(Strict):
             f"{path}: {', '.join(replaced)}: not used, as the joints of `arm` have their own motors, gears and friction"
         )
         return text, unused if replaced else ""
-
-
-def _seed(seed: int, name: str) -> int:
-    """Return the seed of a joint, from the arm's seed and its name."""
-    return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1)[0])
 
 
 def load_any(

@@ -35,6 +35,7 @@ from ...sim.sensors import stream
 from ..experiment import Experiment, signals_of
 from ..scenario import Disturbance, Scenario
 from .draws import drawn_record, known_within, varied
+from .metrics import finite
 
 SENSOR = "torque sensor"  # name of the torque sensor's reading among the estimators
 SIZES = (0.05, 8.0)  # smallest and largest drawn push [N·m], log-uniform, either sign
@@ -138,15 +139,11 @@ def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0
         if resamples:
             drawn = [measures(rng.integers(0, n, n), rng.integers(0, m, m)) for _ in range(resamples)]
             ends = np.column_stack([_quantiles(column) for column in np.array(drawn).T])
-    row: dict[str, Any] = {"estimator": detector.name, "threshold": _finite(threshold)}
+    row: dict[str, Any] = {"estimator": detector.name, "threshold": finite(threshold)}
     for i, name in enumerate(MEASURES):
         values = (mean[i], *ends[:, i])
-        row |= {f"{name}{end}": _finite(x) for end, x in zip(("", "_low", "_high"), values, strict=True)}
+        row |= {f"{name}{end}": finite(x) for end, x in zip(("", "_low", "_high"), values, strict=True)}
     return row | {"reason": _reason(detector, threshold, mean[1])}
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _reason(detector: Detector, threshold: float, smallest: float) -> str:

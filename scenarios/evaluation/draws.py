@@ -24,7 +24,7 @@ from ...models.calibration import Calibration
 from ...models.controller import Controller
 from ...sim.sensors import stream
 from ..experiment import Experiment
-from ..scenario import LAGGING, Disturbance, Scenario, Waypoint
+from ..scenario import LAGGING, Disturbance, Scenario
 
 TURNS = 3.0  # largest change of the start, in turns of the motor
 PACE = 0.15  # largest relative change of the motion's duration
@@ -42,9 +42,10 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
     first, last = scenario.trajectory[0].time, scenario.trajectory[-1].time
     if first < last <= scenario.duration:
         pace = min(pace, (scenario.duration - first) / (last - first))
-    waypoints = [
-        w.model_copy(update={"time": first + pace * (w.time - first)} | _moved(w, start)) for w in scenario.trajectory
-    ]
+    waypoints = []
+    for way in scenario.trajectory:
+        moved = {} if way.position is None else {"position": way.position + start}
+        waypoints.append(way.model_copy(update={"time": first + pace * (way.time - first)} | moved))
     pushes = [_varied_push(d, rng, scenario.duration) for d in scenario.disturbances]
     found: dict[str, Any] = {"trajectory": waypoints, "disturbances": pushes, "seed": seed}
     if scenario.mode != "position":
@@ -52,10 +53,6 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
     if scenario.sensors_are_realistic and scenario.controller == LAGGING:
         found["controller"] = Controller().lagging(rng.uniform(0.0, LAG))
     return scenario.model_copy(update=found)
-
-
-def _moved(way: Waypoint, start: float) -> dict[str, float]:
-    return {} if way.position is None else {"position": way.position + start}
 
 
 def of_seed(scenario: Scenario, seed: int, vary: bool = True) -> Scenario:

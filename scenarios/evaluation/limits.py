@@ -180,12 +180,8 @@ def doubtful(joint: Joint, mounting: Mounting, tolerance: float) -> np.ndarray:
     The link encoder is zeroed. Numbers that neither motion nor encoders show are left out.
     """
     calibration = Calibration(joint)
-    found = []
-    for i, name in enumerate(calibration.names):
-        if name not in _UNSEEN and tolerance > 0.0:
-            x = np.zeros(calibration.size)
-            x[i] = tolerance
-            found.append(calibration.record(x, mounting))
+    changes = zip(calibration.names, tolerance * np.eye(calibration.size), strict=True)
+    found = [calibration.record(x, mounting) for name, x in changes if name not in _UNSEEN and tolerance > 0.0]
     return np.concatenate(found) if found else np.zeros(0, PARAMETERS)
 
 

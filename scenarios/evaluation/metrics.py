@@ -121,18 +121,14 @@ def response(estimate: np.ndarray, truth: np.ndarray, dt: float, begin: int, end
     change = truth[begin:end] - truth[begin]
     if len(change) < 3 or np.max(np.abs(change)) < 0.2:
         return None
-    extremum = _first_peak(np.abs(change), 0.5 * float(np.max(np.abs(change))))
+    size = np.abs(change)
+    peaks, _ = find_peaks(size, height=0.5 * float(np.max(size)))
+    extremum = int(peaks[0]) if len(peaks) else int(np.argmax(size))
     goal = _RESPONSE * change[extremum]
     level = float(np.mean(estimate[max(begin - max(round(_LEVEL / dt), 1), 0) : begin + 1]))
     made = (estimate[begin:end] - level) * np.sign(goal) >= abs(goal)
     itself = int(np.argmax(change * np.sign(goal) >= abs(goal)))
     return (int(np.argmax(made)) - itself) * dt if np.any(made) else np.nan
-
-
-def _first_peak(x: np.ndarray, height: float) -> int:
-    """Return the index of the first local maximum of x, shape (n,), of at least `height`, or of the largest value."""
-    peaks, _ = find_peaks(x, height=height)
-    return int(peaks[0]) if len(peaks) else int(np.argmax(x))
 
 
 @dataclass(frozen=True)

@@ -247,12 +247,8 @@ def pareto(
     kept = undominated(found)
     return Front(
         estimator.name, found[kept], tuple({**own[-1], **all_choices[i]} for i in kept),
-        _pair(found[0]), _pair(found[1]) if tuned else None,
+        tuple(found[0].tolist()), tuple(found[1].tolist()) if tuned else None,
     )  # fmt: skip
-
-
-def _pair(point: np.ndarray) -> tuple[float, float]:
-    return float(point[0]), float(point[1])
 
 
 # --- several estimators --------------------------------------------------------------------------------------------
@@ -279,8 +275,13 @@ class Tuning:
 
     @property
     def filters(self) -> list[dict[str, Any]]:
-        """The tuned estimators as a scenario's `filters`."""
-        return [entry_of(one).model_dump() for one in self.tuned.values()]
+        """The tuned estimators as a scenario's `filters`, with six digits."""
+        found = []
+        for one in self.tuned.values():
+            values = {k: float(f"{v:.6g}") for k, v in _completed(one.default, one.values).items()}
+            entry = {"name": one.name, "estimator": one.name, **values}
+            found.append(FilterEntry.model_validate(entry).model_dump())
+        return found
 
     def __repr__(self) -> str:
         def line(one: Tuned) -> str:
@@ -349,9 +350,3 @@ def check_seeds(train: Sequence[int], test: Sequence[int]) -> None:
     both = sorted(set(train) & set(test))
     if both:
         raise InputError(f"test: expected other seeds than those of train, got {both[0]} in both")
-
-
-def entry_of(found: Tuned) -> FilterEntry:
-    """Return the tuned estimator as an entry of a scenario's `filters`, with six digits."""
-    values = {k: float(f"{v:.6g}") for k, v in _completed(found.default, found.values).items()}
-    return FilterEntry.model_validate({"name": found.name, "estimator": found.name, **values})

@@ -17,7 +17,7 @@ from ...models import plugins
 from ...models.errors import InputError
 from .dataset import Chunk
 from .design import Design
-from .rows import Done, compute
+from .sweep import Done, compute
 
 _ATTEMPTS = 20  # workers that may be lost with a chunk before the sweep ends
 _PATIENCE = 20  # s

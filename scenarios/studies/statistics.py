@@ -101,13 +101,9 @@ def summary_rows(aggregates: list[Aggregate], design: Design) -> Iterator[dict[s
         yield head | cells(s.values, "") | cells(s.differences, "difference_")
 
 
-def write_csv(aggregates: list[Aggregate], design: Design, path: Path, digits: int | None = None) -> None:
-    """Write `summary_rows` as CSV; `digits`: of its numbers, all of them by default."""
-
-    def text(value: Any) -> Any:
-        return f"{value:.{digits}g}" if digits is not None and isinstance(value, float) else value
-
-    write_rows(path, [{key: text(value) for key, value in row.items()} for row in summary_rows(aggregates, design)])
+def write_csv(aggregates: list[Aggregate], design: Design, path: Path) -> None:
+    """Write `summary_rows` as CSV."""
+    write_rows(path, list(summary_rows(aggregates, design)))
 
 
 def read_csv(path: Path, study: Study) -> list[Aggregate]:

@@ -170,9 +170,8 @@ class Study(Strict):
     scenarios: Annotated[list[ScenarioChoice], Field(min_length=1)]
     """Names or paths, also with changes."""
     set: Annotated[dict[str, Value | bool], Field(description="changes to dotted keys of every scenario")] = {}
-    vary: Annotated[bool, Field(description="draw start, pace and pushes per seed, so that runs are independent")] = (
-        False
-    )
+    vary: bool = False
+    """Draw start, pace and pushes per seed, so that runs are independent."""
     axes: Annotated[list[AnyAxis], Field(max_length=6)] = []
     """Parameters that vary, in all combinations."""
     filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)

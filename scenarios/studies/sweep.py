@@ -1,4 +1,4 @@
-"""Runs of a study into rows of its dataset, on threads or on a cluster.
+"""Runs of a study into rows of its dataset (simulation, estimation, metrics), on threads or on a cluster.
 
 The closed loop, the estimators and the costly metrics are compiled and release the interpreter's lock, so that threads use all
 cores. Every run has its own random streams: rows are the same to the bit for any number of threads or workers, any chunk size,
@@ -10,18 +10,88 @@ from __future__ import annotations
 import json
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from itertools import islice
+from typing import Any
 
+import mujoco
+import numpy as np
 import pyarrow as pa
 
+from ...estimator import registry
+from ...estimator.errors import FilterDiverged
 from ...models.errors import InputError
+from ..experiment import Experiment, signals_of
+from ..run import reference_of
+from ..run_folder import versions
 from .dataset import Chunk, Dataset
-from .design import Design
-from .rows import Done, compute, versions
+from .design import Cell, Design
 
 _LARGEST_CHUNK = 16
+Done = Generator[tuple[Chunk, pa.Table], None, None]  # chunks with their rows, as they finish
+
+
+def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -> pa.Table | None:
+    """Compute the rows of a chunk, which are runs of one cell; None when `stop` is set. Raises `InputError`: a scenario
+    that cannot run."""
+    cell = design.cells[chunk.cell]
+    experiment = design.experiment(cell)
+    model = experiment.build()
+    rows = []
+    for run in range(chunk.begin, chunk.end):
+        if stop is not None and stop.is_set():
+            return None
+        seed = design.study.seed_list[run]
+        drawn, record = design.drawn(cell, seed, experiment)
+        plant = model if record is None else drawn.build(record)
+        found = results(design, cell, seed, drawn, record, plant)
+        head: dict[str, Any] = {"run": run, "seed": seed, "key": design.key(cell, seed), **cell.columns}
+        for variant, result in zip(design.variants, found, strict=True):
+            rows.append(head | variant.columns | {"filter": variant.name} | result)
+    table = pa.Table.from_pylist(rows, schema=schema(design))
+    return table.replace_schema_metadata({"versions": json.dumps(versions(), sort_keys=True)})
+
+
+def schema(design: Design) -> pa.Schema:
+    """Return the columns of the dataset, without scenario and cell, which its folders name."""
+    kinds: dict[str, pa.DataType] = {"cause": pa.string()}
+    for axis in design.study.axes:
+        text = isinstance(getattr(axis, "values", [0.0])[0], str)
+        kinds[axis.name] = pa.string() if text else pa.float64()
+    columns = [*design.cells[0].columns, *(axis.name for axis in design.study.filter_axes)]
+    return pa.schema(
+        [("run", pa.int64()), ("seed", pa.int64()), ("key", pa.string())]
+        + [(name, kinds[name]) for name in columns]
+        + [("filter", pa.string()), ("failure", pa.string())]
+        + [(name, pa.float64()) for name in design.study.metrics]
+    )
+
+
+def results(
+    design: Design, cell: Cell, seed: int, experiment: Experiment, record: np.ndarray | None, model: mujoco.MjModel
+) -> list[dict[str, Any]]:
+    """Simulate once; return for every variant its metrics and `failure`, the reason if it has none."""
+    try:
+        simulation = experiment.simulate(design.noise_seed(cell, seed), record, model)
+        signals = signals_of(simulation)
+        raw = registry.get("model").estimate(signals, experiment.known).mean
+    except (InputError, FilterDiverged) as error:
+        return [{"failure": str(error)}] * len(design.variants)
+    reference = reference_of(simulation, raw, experiment.external_torque, experiment.scenario.transient)
+    found: list[dict[str, Any]] = []
+    for variant in design.variants:
+        try:
+            posterior = variant.estimator.estimate(signals, experiment.known)
+        except (InputError, FilterDiverged) as error:
+            found.append({"failure": str(error)})
+            continue
+        if not np.isfinite(posterior.mean).all():
+            found.append({"failure": f"{variant.estimator.name}: the estimate is no longer a finite number"})
+            continue
+        measured = reference.evaluate_posterior(posterior)
+        found.append({"failure": ""} | {name: measured[name] for name in design.study.metrics})
+    return found
 
 
 def chunk_size(design: Design, jobs: int) -> int:

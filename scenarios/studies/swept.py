@@ -1,4 +1,4 @@
-"""A study's dataset with its statistics."""
+"""A study's dataset with its statistics, and its worst runs, as scenarios to run again."""
 
 from __future__ import annotations
 
@@ -8,17 +8,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ...models.files import parse
 from ...models.notebook import shortened
+from ..scenario import Scenario
 from .dataset import Dataset
 from .design import Design
-from .rows import versions
 from .statistics import Aggregate, aggregate, summary_rows
 from .study import Study, load_study, shipped_studies
-from .worst import WorstRun, worst_runs
+from .sweep import versions
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+@dataclass(frozen=True)
+class WorstRun:
+    """The run with the largest value of a metric in a scenario."""
+
+    scenario: str  # its name in the study
+    filter: str  # its name
+    seed: int  # of the study
+    value: float  # of the metric
+    again: Scenario | None  # the scenario to run again; None if the plant's parameters were drawn
 
 
 @dataclass(frozen=True)
@@ -87,3 +100,27 @@ def summarise(dataset: Dataset) -> Swept:
     """Compute the statistics of a dataset, and its worst runs."""
     found = tuple(aggregate(dataset))
     return Swept(dataset, found, tuple(worst_runs(dataset, dataset.design.study.metrics[0])))
+
+
+def worst_runs(dataset: Dataset, metric: str) -> list[WorstRun]:
+    """Return for every scenario of a dataset the run with the largest value of a metric."""
+    design = dataset.design
+    worst: dict[str, tuple[float, int, int, str]] = {}
+    for cell in design.cells:
+        table = dataset.read(cell.index, ["run", "seed", "filter", metric])
+        values = table[metric].to_numpy(zero_copy_only=False).astype(float) if table.num_rows else np.zeros(0)
+        if not np.isfinite(values).any():
+            continue
+        i = int(np.nanargmax(values))
+        if values[i] > worst.get(cell.scenario, (-np.inf,))[0]:
+            worst[cell.scenario] = (float(values[i]), cell.index, table["seed"][i].as_py(), table["filter"][i].as_py())
+    found = []
+    for name, (value, index, seed, label) in worst.items():
+        cell = design.cells[index]
+        experiment, record = design.drawn(cell, seed, design.experiment(cell))
+        again = None
+        if record is None:
+            update = {"name": f"{name}-{seed}", "seed": design.noise_seed(cell, seed), "mounting": ""}
+            again = experiment.scenario.model_copy(update=update | {"link": experiment.mounting})
+        found.append(WorstRun(name, label, seed, value, again))
+    return found

@@ -173,7 +173,7 @@ def test_nothing_executable_lies_in_a_folder_that_is_drawn_into(tmp_path):
         time.sleep(0.002)
     assert process.returncode == 0
     assert {"signals.parquet", "error.png"} <= set(seen)
-    data = re.compile(r".+\.(parquet|yaml|json|png|rrd)|\.journal|\.manifest|\.flexspline")
+    data = re.compile(r".+\.(parquet|yaml|json|png|rrd)|\.flexspline")
     assert not [name for name in seen if not data.fullmatch(name)]
     for name, (executable, first) in seen.items():
         assert not executable and first != b"\x80", name  # how a pickle begins

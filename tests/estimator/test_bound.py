@@ -225,10 +225,6 @@ def test_bad_input(record):
     time, states, current, command, _, _ = walk(record, 1, 0.0, 5)
     with pytest.raises(InputError, match="intensity"):
         bound.joint_bound(time, states, current, command, record, NOISE, -1.0)
-    with pytest.raises(InputError, match="states"):
-        bound.joint_bound(time, states[:, :8], current, command, record, NOISE, 1.0)
-    with pytest.raises(InputError, match="V > 0"):
-        bound.random_walk_bound(1.0, np.zeros(3), 1.0)
 
 
 def test_the_walk_of_a_few_samples():

@@ -15,7 +15,7 @@ from test_symmetry import seen
 from flexspline.estimator import KnownJoint, SensorNoise, get, joint_model, quantised
 from flexspline.estimator.dynamics_filter import SETTINGS
 from flexspline.estimator.estimator import CausalEstimator
-from flexspline.estimator.filters import rts_smoother
+from flexspline.estimator.filters import dynamics_kalman
 from flexspline.estimator.joint_model import (
     BRISTLE,
     CONSTANT,
@@ -175,7 +175,7 @@ def test_smoother_against_filterpy(record):
     time, Fs = np.arange(n) * 1e-3, np.tile(F, (n, 1, 1))
     settings = np.zeros(1, SETTINGS)
     joint_model.activate(settings[0]["noise"], list(range(m)))
-    rts_smoother.backward(time, states, record, settings, Fs, predicted, before, filtered, torque, variance)
+    dynamics_kalman.backward(time, states, record, settings, Fs, predicted, before, filtered, torque, variance)
     assert np.allclose(states, expected, atol=1e-8) and np.allclose(filtered, expected_P, atol=1e-9)
 
 
@@ -324,7 +324,7 @@ def test_the_smoother_in_blocks_is_that_of_the_whole(record, monkeypatch):
     whole = smoother.estimate(signals, known)
     n = len(signals.time)
     for block in (n, n - 1, 333):
-        monkeypatch.setattr("flexspline.estimator.filters.rts_smoother.BLOCK", block)
+        monkeypatch.setattr("flexspline.estimator.filters.dynamics_kalman.BLOCK", block)
         found, torques = smoother.estimate(signals, known), smoother.torques(signals, known)
         for name in ("mean", "variance", "external", "innovation", "innovation_covariance"):
             assert getattr(found, name).tobytes() == getattr(whole, name).tobytes()

@@ -10,7 +10,7 @@ import pytest
 from scipy.special import ndtr
 
 from flexspline.diagnosis.trials.draw import Challenge, draw
-from flexspline.estimator import get, names, smoothed
+from flexspline.estimator import get, names, offline, smoothed
 from flexspline.estimator.bands import disagreement, reference_torque
 from flexspline.estimator.conditioning import condition
 from flexspline.estimator.estimator import KnownJoint
@@ -269,7 +269,7 @@ def test_missing_channels_are_known_before_estimation(sweep, joint, gone):
         recording = replace(recording, columns=columns).without("motor_current")
     blind = recording.signals.without("joint_torque", "external_torque")
     ready = prepare(blind, KnownJoint.of(joint, recording.link))
-    reasons = {name: ready.lacks(get(name)) for name in names()}
+    reasons = {name: offline._lacking(get(name), set(ready.signals), ready.measured) for name in names()}
     assert lacking(recording, names()) == {name: reason for name, reason in reasons.items() if reason is not None}
     assert not lacking(part(recording, slice(0, SHORTEST - 1)), names())
 

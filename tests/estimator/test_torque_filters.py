@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from matrix_filter import FilterModel, run
+from paper_compliance import compliance
 from scipy.optimize import minimize
 from scipy.signal import butter, lfilter
 
-from flexspline.estimator import FilterDiverged, PaperFilter, compliance, get
+from flexspline.estimator import FilterDiverged, PaperFilter, get
 from flexspline.estimator.compliance import torque_variance
-from flexspline.estimator.filters import huber
-from flexspline.estimator.filters.kalman import STATE
+from flexspline.estimator.filters.kalman import STATE, correct_huber
 from flexspline.models import laws
 from flexspline.models.causes.base import put_discrepancy
 from flexspline.models.signals import Signals
@@ -167,7 +167,7 @@ def test_huber_minimises_hubers_cost():
 
         best = minimize(cost, x, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14, "maxiter": 4000}).x
         f = np.array([(x[0], x[1], P[0, 0], P[0, 1], P[1, 1])], STATE)
-        huber.correct(f[0], y - x[0], V, k, 1e-12, 500)
+        correct_huber(f[0], y - x[0], V, k, 1e-12, 500)
         ours = np.array([f["torque"][0], f["torque_rate"][0]])
         assert cost(ours) <= cost(best) + 1e-9
         assert np.allclose(ours, best, atol=1e-4)
@@ -179,7 +179,7 @@ def test_hubers_covariance_is_that_of_the_weighted_regression(e, rng):
     A = rng.standard_normal((2, 2))
     P, V, k, H = A @ A.T + np.eye(2), 0.5, 1.345, np.array([1.0, 0.0])
     f = np.array([(0.3, -0.2, P[0, 0], P[0, 1], P[1, 1])], STATE)
-    S = huber.correct(f[0], e, V, k, 1e-13, 1000)
+    S = correct_huber(f[0], e, V, k, 1e-13, 1000)
     moved = np.array([f["torque"][0] - 0.3, f["torque_rate"][0] + 0.2])
     factor = np.linalg.inv(np.linalg.cholesky(P))
     inside, measured = factor @ moved, (e - moved[0]) / np.sqrt(V)

@@ -35,7 +35,7 @@ CALL = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 5)
 
 def called(step, samples, settings=(0.3,)):
     """Statuses and outputs of a step over samples, called by its address."""
-    taken = CompiledStep(step.address, 2, load_joint("test-joint").record(), np.array(settings), 2, owner=step)
+    taken = CompiledStep(step.address, 2, load_joint("test-joint").record(), np.array(settings), 2)
     address, memory, record, known, out = taken.arrays()
     function = CALL(address)
     statuses, outputs = [], []

@@ -26,7 +26,7 @@ def currents(command, timestep, steps, locked=True, **changes):
     data = mujoco.MjData(model)
     plant.start(model, data)
     data.ctrl[0] = KT * command
-    at = plant.activation(model, "motor")
+    at = model.actuator("motor").actadr[0]
     found = []
     for _ in range(steps):
         mujoco.mj_step(model, data)

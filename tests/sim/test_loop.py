@@ -172,7 +172,7 @@ def recording_step(kept):
 def test_an_estimator_is_given_in_the_loop_what_it_reads_afterwards(reads_command):
     kept = []
     step = recording_step(kept)
-    s = run(feedback=CompiledStep(step.address, 1, JOINT.record(), reads_command=reads_command, owner=step))
+    s = run(feedback=CompiledStep(step.address, 1, JOINT.record(), reads_command=reads_command))
     assert step.error is None and s.failed == (len(s.time), 0)
     given = np.array(kept, SAMPLE)
     np.testing.assert_array_equal(given["time"], s.time)
@@ -194,7 +194,7 @@ def test_a_step_that_fails_ends_the_loop_and_keeps_its_error():
             raise ZeroDivisionError("no torque")
         return 0
 
-    s = run(feedback=CompiledStep(failing.address, 1, JOINT.record(), owner=failing))
+    s = run(feedback=CompiledStep(failing.address, 1, JOINT.record()))
     assert s.failed == (51, -1)
     assert isinstance(failing.error, ZeroDivisionError)
 
