@@ -19,6 +19,7 @@ class AnswerSettings:
     unsure: float = 0.5  # largest confidence of a cause that does not hold on unseen data, or is confounded with many
     small: float = 0.5  # a cause is minor below this share of its probability as an effect of ordinary size,
     likely: float = 0.25  # below this probability as such an effect,
+    plain: float = 0.9  # share of the error that a cause must explain to be sure where the rest may be of any cause
     slight: float = 0.3  # or below this ratio of its contribution to the unexplained error (RMS)
     quiet: float = 1.25  # noise ratio up to which only noise remains
     far: float = 5.0  # noise ratio from which a residual is never consistent, and largest factor on standard deviations
@@ -50,7 +51,7 @@ class Conclusion:
       missing: causes that this measurement cannot show at ordinary size, with the reason.
       undetermined: these and other undetectable causes, with the reason.
       alike: pairs of confounded causes.
-      surest: largest confidence of a cause.
+      surest: largest confidence of a cause; vague: of one that does not explain nearly all (`AnswerSettings.plain`).
       zeros: link encoder's zero of each recording relative to the first [rad]; empty if it did not move.
     """
 
@@ -63,6 +64,7 @@ class Conclusion:
     undetermined: dict[str, str]
     alike: tuple[tuple[str, str], ...]
     surest: float
+    vague: float
     zeros: dict[str, float]
 
     @property

@@ -41,12 +41,13 @@ def findings_of(
     minor: dict[int, Finding] = {}
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         share = float(np.clip(explained * contributions[i] ** 2 / total, 0.0, 1.0))
+        surest = conclusion.surest if share >= ANSWER.plain else min(conclusion.surest, conclusion.vague)
         there, effect = found.probabilities(h.key)
         if h.cause.ripple and not problem.link_measured:
             there, effect = 0.5 * there, 0.5 * effect  # one encoder does not separate motor from gear
         if isinstance(h, discrepancy.Spline):
             findings[i] = Finding(
-                "unknown", h.component, min(there, conclusion.surest), {}, share, contributions[i],
+                "unknown", h.component, min(there, surest), {}, share, contributions[i],
                 h.describe(u), discrepancy.depends_on(h.variable),
             )  # fmt: skip
             continue
@@ -60,7 +61,7 @@ def findings_of(
         beyond = h.at_bound(u) or out_of_proportion(problem, h.cause.name, values) or _diluted(problem, final, i)
         small = effect < max(ANSWER.small * there, ANSWER.likely) or h.cause.name in conclusion.missing
         small = small or contributions[i] < ANSWER.slight * left
-        confidence = min(there if small else effect, ANSWER.unsure if beyond else ANSWER.surest, conclusion.surest)
+        confidence = min(there if small else effect, ANSWER.unsure if beyond else ANSWER.surest, surest)
         one = Finding(h.cause.name, h.cause.component, confidence, parameters, share, contributions[i])
         if one.determined:
             (minor if small else findings)[i] = one

@@ -102,11 +102,11 @@ def _diagnosed(measurement: Measurement, joint: Joint, progress: Progress, deadl
     no_worse = serves(measurement, joint, conditioned)
     small = shrunk(problem, final, lambda f: no_worse(extended(problem, f, joint)))
     undetermined, alike = _limits(problem, found, final, offered, missing)
-    surest, zeros = ANSWER.surest, _zeros(measurement, problem, final)
+    zeros = _zeros(measurement, problem, final)
     # An encoder zero that moves looks like a spring, an unmeasured push like any cause.
-    if zeros or all(pushed(r) for r in measurement.recordings) or small.share == 0.0 or _rotor_unknown(problem, judged):
-        surest = ANSWER.unsure
-    conclusion = Conclusion(problem, found, judged, final, small, missing, undetermined, alike, surest, zeros)
+    open_ = zeros or all(pushed(r) for r in measurement.recordings) or small.share == 0.0
+    surest, vague = (ANSWER.unsure if x else ANSWER.surest for x in (open_, _rotor_unknown(problem, judged)))
+    conclusion = Conclusion(problem, found, judged, final, small, missing, undetermined, alike, surest, vague, zeros)
     answer = answer_of(conclusion, measurement, conditioned)
     if small.share == 0.0:  # nothing was learned of the phases
         kept = {"kinematic_error": described.kinematic_error}

@@ -42,7 +42,7 @@ _ANY_PHASE = 2 * np.pi / np.sqrt(12)  # standard deviation of an unknown phase [
 _UNBOUNDED = 100.0  # times the ninth decile
 _INFINITE = 1e6  # A or N·m per standard deviation or ordinary size: a derivative that counts as infinite
 _HELD = 1e-4  # prior standard deviation of a held unknown
-_LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
+_LINEAR = ("current_offset", "torque_offset")
 _TIMED = (CURRENT, TORQUE)
 
 Model = tuple[Hypothesis, ...]

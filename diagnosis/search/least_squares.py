@@ -35,6 +35,9 @@ CAUSES = {
     "link_friction": ("link_friction", "torque"),
 }
 """Cause and its parameter by the meaning of a regression's coefficient (`regression.Coefficient.means`)."""
+FRICTION = {"Fc": "Fc", "viscous": "bw"}
+"""Numbers of the joint, of wide tolerance, that start where a regression puts them, by its coefficient's meaning."""
+FARTHEST = 2.0  # of their start, in standard deviations of the tolerance
 BEYOND = 3.0
 """Standard deviations, of tolerance and regression together, from which a number starts in the model."""
 _ITERATIONS = 12
@@ -49,6 +52,7 @@ def regression_fit(problem: Problem, offered: Sequence[Hypothesis], found: Seque
     """
     record = problem.calibration.record(np.zeros(problem.calibration.size))[0]
     started: dict[str, tuple[Hypothesis, np.ndarray]] = {}
+    common = problem.start(None, ())
     for one in found:
         for c in one.coefficients:
             name, parameter = CAUSES.get(c.means, ("", ""))
@@ -56,15 +60,28 @@ def regression_fit(problem: Problem, offered: Sequence[Hypothesis], found: Seque
             # The description states no tolerance of its effects.
             assumed = c.tolerance == 0.0 and c.described != 0.0
             if h is None or name in started or assumed or c.beyond <= BEYOND:
+                _put(problem, common, FRICTION.get(c.means, ""), c.number / c.described if c.described else 0.0)
                 continue
             now = h.cause.present(record)[parameter]
             value = now + (c.number - c.described) * (now / c.described if c.described else 1.0)
             started[name] = h, h.confine(h.coordinates({q.name: value for q in h.cause.parameters}))
     model = tuple(h for h, _ in started.values())
-    start = np.concatenate([problem.start(None, ()), *(u for _, u in started.values())])
+    start = np.concatenate([common, *(u for _, u in started.values())])
     if not all(np.isfinite(r).all() for r in problem.residuals([start], [model])[0]):
         model, start = (), problem.start(None, ())  # a load so light that nothing moves like it
     return least_squares(problem, model, start)
+
+
+def _put(problem: Problem, x: np.ndarray, name: str, ratio: float) -> None:
+    """Set the variable that changes a number of the joint most to a multiple of the description, in place."""
+    calibration = problem.calibration
+    slot = next((s for s in calibration.slots if s.name == name), None)
+    if slot is None or not ratio > 0.0:
+        return
+    value, one = calibration.value(slot, np.zeros(calibration.size)), np.eye(calibration.size)
+    step = {j: np.log(calibration.value(slot, one[j]) / value) for j in calibration.variables(slot)}
+    most = max(step, key=lambda j: step[j])
+    x[most] = np.clip(np.log(ratio) / step[most], -FARTHEST, FARTHEST)
 
 
 def fitter_in_motion(problem: Problem) -> Fitter:
