@@ -19,14 +19,15 @@ class AnswerSettings:
     unsure: float = 0.5  # largest confidence of a cause that does not hold on unseen data, or is confounded with many
     small: float = 0.5  # a cause is minor below this share of its probability as an effect of ordinary size,
     likely: float = 0.25  # below this probability as such an effect,
-    plain: float = 0.9  # share of the error that a cause must explain to be sure where the rest may be of any cause
     slight: float = 0.3  # or below this ratio of its contribution to the unexplained error (RMS)
     quiet: float = 1.25  # noise ratio up to which only noise remains
     far: float = 5.0  # noise ratio from which a residual is never consistent, and largest factor on standard deviations
     least: float = 0.02  # share of the rated torque below which a residual is consistent all the same
     near: float = 2.0  # the same noise ratio where the fit that explains the residual is not written
     nearly_all: float = 2 / 3  # share of undetectable causes from which a measurement is inconclusive
-    about: float = 0.9  # ratio of two contributions from which they count as equal
+    about: float = (
+        0.9  # ratio of two contributions from which they count as equal, and of one to the error from which it is all
+    )
     inexact_bias: float = 0.35  # unknown part of the correction for noise in the motion
     many: int = 4  # numbers outside their tolerances at once, from which the data are of another joint
     apart: float = 5.0  # error of a recording over every other's from which it may be of another joint,
@@ -51,7 +52,7 @@ class Conclusion:
       missing: causes that this measurement cannot show at ordinary size, with the reason.
       undetermined: these and other undetectable causes, with the reason.
       alike: pairs of confounded causes.
-      surest: largest confidence of a cause; vague: of one that does not explain nearly all (`AnswerSettings.plain`).
+      surest: largest confidence of a cause; vague: of one that does not explain nearly all (`AnswerSettings.about`).
       zeros: link encoder's zero of each recording relative to the first [rad]; empty if it did not move.
     """
 

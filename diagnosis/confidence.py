@@ -41,7 +41,7 @@ def findings_of(
     minor: dict[int, Finding] = {}
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         share = float(np.clip(explained * contributions[i] ** 2 / total, 0.0, 1.0))
-        surest = conclusion.surest if share >= ANSWER.plain else min(conclusion.surest, conclusion.vague)
+        surest = conclusion.surest if share >= ANSWER.about else min(conclusion.surest, conclusion.vague)
         there, effect = found.probabilities(h.key)
         if h.cause.ripple and not problem.link_measured:
             there, effect = 0.5 * there, 0.5 * effect  # one encoder does not separate motor from gear

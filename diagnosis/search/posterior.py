@@ -130,7 +130,9 @@ class ModelPosterior:
             known, along = np.maximum(values, 1e-9) / T, vectors.T @ u
             if i in lost and u @ u > 0:
                 known = np.maximum(known, 2 * lost[i] / T / float(u @ u))
-            many = np.log(h.alternatives) + SPECIAL * bool(h.cause.includes)
+            many = np.log(h.alternatives)
+            if h.cause.includes:  # that it is more than its special case is as usual as an imperfection
+                many -= np.log(COMMON)
             ordinary[i] = _slab(known, along, 1.0) - np.log(self.number) - many
             for part, pair, least in ((small, pairs[0], IMPERFECTION), (trace, pairs[1], TRACE)):
                 own = _slab(known, along, float(np.hypot(least, looks_like.get(i, 0.0))) / sigma)
