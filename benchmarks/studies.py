@@ -99,7 +99,7 @@ def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at
             continue
         for metric in metrics:
             column = metric_column(metric)
-            cells = [cell(some.get(v), metric, column) for v in variants]
+            cells = [cell(some.get(v), metric) for v in variants]
             if any(c != "–" for c in cells):
                 rows.append((scenario, *map(value_text, values), column.title, *cells))
     return markdown_table(("scenario", *axes, "measure", *heads), rows)

@@ -14,24 +14,22 @@ import mujoco
 import numpy as np
 from mujoco import batch, rollout
 
-from flexspline.estimator import registry, run_batch
 from flexspline.scenarios.studies.dataset import Dataset
 from flexspline.scenarios.studies.design import Design
 from flexspline.scenarios.studies.study import Study
 from flexspline.scenarios.studies.sweep import sweep, versions
 from flexspline.sim import native, plant
 
-from .timing import alternately, measure, verdict
+from .timing import alternately, verdict
 
 SECONDS = 40.0
 SEEDS = 4
 LOADS = [3, 9]  # N·m
 REPEATS = 5
-THROUGHPUT, SCALING, UPDATE = 0.75, 1.8, 1.0
-"""Targets: share of bare stepping, one core to two, µs per filter update."""
+THROUGHPUT, SCALING = 0.75, 1.8
+"""Targets: share of bare stepping, one core to two."""
 GROWTH = 1.1
 """Memory of four times as many runs, at most; the rest is the allocator's."""
-JOINTS, TICKS = 1000, 500
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _STEPS_AT_ONCE = 5000  # of a rollout, which keeps all states
 
@@ -115,17 +113,8 @@ def peak_memory(seeds: int) -> float:
     return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
-def filter_update() -> float:
-    """Core time per update [µs] of the RAREKF over recorded measurements of many joints."""
-    rng = np.random.default_rng(1)
-    y = 6 * np.sin(np.arange(TICKS) * 2e-3) + 0.07 * rng.standard_normal((JOINTS, TICKS))
-    rarekf = registry.get("RAREKF")
-    timing = measure(lambda: run_batch(rarekf, y, estimates_only=True))
-    return 1e6 * timing.core / (JOINTS * TICKS)
-
-
 def main() -> None:
-    """Print throughput, scaling, memory and the cost of updates, each as a ratio or against its target."""
+    """Print throughput, scaling and memory, each as a ratio or against its target."""
     design = study()
     total = design.runs * SECONDS
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -162,12 +151,6 @@ def main() -> None:
         end="",
     )
     print(f" (target ≤ {GROWTH:g} ×: {more / once:.2f}, {verdict(more <= GROWTH * once)})")
-    cost = filter_update()
-    print(
-        f"  RAREKF update, {JOINTS} joints, over recorded measurements: {cost:.3f} µs per joint (target < {UPDATE:g}: ",
-        end="",
-    )
-    print(f"{verdict(cost < UPDATE)})")
 
 
 if __name__ == "__main__":  # a separate process, whose memory is measured
