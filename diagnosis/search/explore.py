@@ -21,7 +21,7 @@ from ..fit.residual import Model, Problem
 from ..fit.solver import Fit, Fitter, tamed
 from .contribution import alone, magnitudes_at, size_of
 from .posterior import EFFECT, Judged, ModelPosterior, quiet_rms, unexplained_size
-from .screen import PROBE, Library, ranked, screen
+from .screen import PROBE, Library, Screened, ranked, screen
 
 Progress = Callable[[str, float], None]
 """Called with a stage's name and the share of the work that is done."""
@@ -294,7 +294,10 @@ class Explorer:
         for gone in pairs:
             less, gained = without(problem, linear, *gone)
             left = library.keeping(problem.with_room(less.model, library.hypotheses))
-            for x in ranked(problem, less, left)[:2]:
+            likeliest: dict[str, Screened] = {}  # of each cause
+            for x in ranked(problem, less, left):
+                likeliest.setdefault(x.hypothesis.cause.name, x)
+            for x in [*likeliest.values()][:2]:
                 if x.gain < NEAR * gained:
                     continue
                 _, stays, _ = alone(problem, best, *gone)
@@ -310,7 +313,8 @@ class Explorer:
         better = max(models, key=lambda m: m.score)
         if better.score <= now.score + SWAP:
             return best, models
-        again = self._whole(post, best, best)  # the others were fitted further than the best one
+        whole = self._whole(post, best, best).fit  # the others were fitted further than the best one
+        again = post.judge(whole, lost, alike, both)
         if better.score > again.score + SWAP or again.score <= now.score:
             return better.fit, models
         return again.fit, [again, *models[1:]]
