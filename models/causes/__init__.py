@@ -1,4 +1,4 @@
-"""The library of causes, a file for each component: a subclass of `Cause` in any file here is a new cause. Plugins add others."""
+"""The library of causes, one file each: a new file with a subclass of `Cause` is a new cause. Plugins add others."""
 
 from __future__ import annotations
 
