@@ -25,9 +25,7 @@ class AnswerSettings:
     least: float = 0.02  # share of the rated torque below which a residual is consistent all the same
     near: float = 2.0  # the same noise ratio where the fit that explains the residual is not written
     nearly_all: float = 2 / 3  # share of undetectable causes from which a measurement is inconclusive
-    about: float = (
-        0.9  # ratio of two contributions from which they count as equal, and of one to the error from which it is all
-    )
+    about: float = 0.9  # ratio of two contributions from which they count as equal; of one to the error, as all of it
     inexact_bias: float = 0.35  # unknown part of the correction for noise in the motion
     many: int = 4  # numbers outside their tolerances at once, from which the data are of another joint
     apart: float = 5.0  # error of a recording over every other's from which it may be of another joint,
