@@ -245,8 +245,9 @@ def _end(number: int, frame: Any) -> NoReturn:
 
     It raises nothing: compiled code and libraries would drop the exception.
     """
-    output = sys.modules.get(f"{__name__.rpartition('.')[0]}.models.output")  # else nothing is being written
-    message = output.abandon() if output is not None else ""
+    output = sys.modules.get(f"{__name__.rpartition('.')[0]}.models.output")
+    abandon = getattr(output, "abandon", str)  # before it is loaded, nothing is being written
+    message = abandon()
     pools = sys.modules.get("multiprocessing.util")
     if pools is not None:
         pools._run_finalizers(0)  # else its resource tracker reports semaphores
