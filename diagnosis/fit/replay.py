@@ -35,6 +35,7 @@ from ...models import dynamics, laws
 from ...models.dual import LANES, dual_records, dual_table, value_of
 from ...models.dynamics import State
 from ...models.kernels import kernel
+from ...models.parameters import floats
 from ..data.segments import BALANCES, CURRENT, DECIMATION, LINK, STEP, TORQUE, WINDOW, Segment
 
 _RUNAWAY = 1e5  # rad/s: a speed of the wave generator that no joint reaches
@@ -44,28 +45,18 @@ _STIFFEST = 2.5
 _UNRESOLVED = 6.0
 """Pulsation of the wave generator against rotor and link, times the step, that a step does not resolve."""
 
-INNER = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "wave_generator_position", "wave_generator_velocity", "motor_position", "motor_velocity", "motor_acceleration",
-            "link_position", "link_velocity", "link_acceleration", "bristle", "dahl", "flexible_position", "flexible_velocity",
-            "flexspline_torque", "load", "wave_generator_torque",
-        )
-    ]
+INNER = floats(
+    "wave_generator_position", "wave_generator_velocity", "motor_position", "motor_velocity", "motor_acceleration",
+    "link_position", "link_velocity", "link_acceleration", "bristle", "dahl", "flexible_position", "flexible_velocity",
+    "flexspline_torque", "load", "wave_generator_torque",
 )  # fmt: skip
 """State of the joint at every step: corrected motion of both ends, and the simulated part between them."""
-MOVING = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "wave_generator_position", "wave_generator_velocity", "bristle", "dahl", "motor_position", "motor_velocity",
-            "link_position", "link_velocity", "link_acceleration", "flexible_position", "flexible_velocity", "stiffness",
-        )
-    ]
+MOVING = floats(
+    "wave_generator_position", "wave_generator_velocity", "bristle", "dahl", "motor_position", "motor_velocity",
+    "link_position", "link_velocity", "link_acceleration", "flexible_position", "flexible_velocity", "stiffness",
 )  # fmt: skip
 """State of the transmission between steps."""
-SWINGING = np.dtype([(name, np.float64) for name in ("position", "velocity", "link_acceleration")])
+SWINGING = floats("position", "velocity", "link_acceleration")
 """The same of a mass on the link behind a spring, where the link's motion is measured."""
 _INNER, _MOVING, _SWINGING = (dtype.itemsize // 8 for dtype in (INNER, MOVING, SWINGING))
 _BLOCK = 64

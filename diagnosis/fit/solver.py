@@ -14,6 +14,7 @@ objective, gradient and curvature, and it is subtracted (corrected least squares
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -75,6 +76,11 @@ class Fit:
     log_evidence: float
     least_covariance: np.ndarray | None = field(default=None, repr=False)
     weight: np.ndarray | None = field(default=None, repr=False)
+
+    @property
+    def keys(self) -> frozenset[Any]:
+        """Identities of the model's hypotheses."""
+        return frozenset(h.key for h in self.model)
 
 
 def evaluate_point(problem: Problem, theta: np.ndarray, model: Model) -> Point:

@@ -96,7 +96,7 @@ class Explored:
     def alike(self) -> list[tuple[str, str]]:
         """Return pairs of causes: one in the best model, the other in its place in a model within the window."""
         most = max(m.score for m in self.models)
-        mine = {h.key for h in self.best.model}
+        mine = self.best.keys
         found = []
         for m in self.models:
             more, gone = m.keys - mine, mine - m.keys
@@ -157,13 +157,12 @@ class Explorer:
                 if other is not best:
                     best = self._pruned(other)
                 other, models = self.neighbours(best, library.keeping(self._room(best)))
-            keys = frozenset(h.key for h in other.model)
-            if keys == frozenset(h.key for h in best.model):
+            if other.keys == best.keys:
                 best = other
                 break
-            if keys in self._seen:
+            if other.keys in self._seen:
                 break  # a cycle of equally probable models
-            self._seen.add(keys)
+            self._seen.add(other.keys)
             best = self._pruned(self._fit(other.model, other.theta))
         if not models:
             models = [self.posterior(best).judge(best)]
@@ -189,9 +188,9 @@ class Explorer:
     def _fit(self, model: Model, theta: np.ndarray, near: Fit | None = None, reference: Fit | None = None) -> Fit:
         return self.fitter.fit(model, theta, near, FIT, reference)
 
-    def _whole(self, post: ModelPosterior, f: Fit, reference: Fit) -> Judged:
-        """Fit and judge a model in which calibration has a long way to go."""
-        return post.judge(self.fitter.fit(f.model, f.theta, None, WHOLE, reference))
+    def _whole(self, post: ModelPosterior, f: Fit, reference: Fit, *known: Any) -> Judged:
+        """Fit a model in which calibration has a long way to go, and judge it by what is `known` of its causes."""
+        return post.judge(self.fitter.fit(f.model, f.theta, None, WHOLE, reference), *known)
 
     def _little(self, best: Fit, other: Fit) -> bool:
         """Whether a model is hardly more probable than another."""
@@ -200,7 +199,7 @@ class Explorer:
 
     def _room(self, best: Fit) -> list[Hypothesis]:
         """Hypotheses that a model can have in addition."""
-        have = {h.key for h in best.model}
+        have = best.keys
         return self.problem.with_room(best.model, [h for h in self.offered if h.key not in have])
 
     def library(self, best: Fit) -> Library:
@@ -313,8 +312,7 @@ class Explorer:
         better = max(models, key=lambda m: m.score)
         if better.score <= now.score + SWAP:
             return best, models
-        whole = self._whole(post, best, best).fit  # the others were fitted further than the best one
-        again = post.judge(whole, lost, alike, both)
+        again = self._whole(post, best, best, lost, alike, both)  # the others were fitted further than the best one
         if better.score > again.score + SWAP or again.score <= now.score:
             return better.fit, models
         return again.fit, [again, *models[1:]]

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +33,6 @@ IDEAL, WIDTH = (
 )  # noise ratio at which a joint is as likely real as ideal; change that makes one e times as likely
 LOOKALIKE = 2.0  # part of the unexplained error where a cause acts (RMS) that may look like it
 UNKNOWN = 10.0  # log prior odds of a known cause against an unknown effect, and of a usual against an unusual place
-SPECIAL = (
-    3.0  # log prior odds of a special case against a cause that includes it: strong evidence (Kass and Raftery, 1995)
-)
 EFFECT = 0.1  # probability of an effect below which a cause counts as an imperfection
 KNOWN = 0.1  # variance of an unknown over its prior's below which the data determine it
 _HELD = 1e-6  # spread of an unknown that does not move
@@ -73,9 +71,9 @@ class Judged:
     effects: tuple[float, ...]
 
     @property
-    def keys(self) -> frozenset:
+    def keys(self) -> frozenset[Any]:
         """Its causes."""
-        return frozenset(h.key for h in self.fit.model)
+        return self.fit.keys
 
 
 class ModelPosterior:
