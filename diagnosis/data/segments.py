@@ -5,11 +5,12 @@ torques then have no relative smoothing error. Each segment has a *noise replica
 sensors' stated noise drawn and added again. Their difference gives the effect of the motion's noise on a residual.
 
 With one encoder, the rotor's motion follows from that encoder and the description; the replay simulates the link
-(`Segment.link_measured`).
+(`Segment.link_measured`). Readings then need less smoothing than motion: friction reverses within a sample. A log slower than the
+residuals has them at its samples only.
 
 The link encoder alone also sees the gear's kinematic error and the link's resonance. The rotor then follows the link below the
-frequency of that resonance, and moves evenly above. The gear's orders are in the simulation alone, and readings need less
-smoothing than motion. A torque sensor is compared with the link's measured motion.
+frequency of that resonance, and moves evenly above. The gear's orders are in the simulation alone. A torque sensor is compared
+with the link's measured motion.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class SegmentSettings:
     # passband of the rotor's motion from the link encoder, over the described resonance of the link against a fixed rotor
     following: float = 0.5
     slowest: float = 1.0  # least passband of such a motion [Hz]
-    readings: float = 0.8  # passband over sample rate of readings with such a motion; they are not differentiated
+    readings: float = 0.8  # passband over sample rate of readings with one encoder; they are not differentiated
 
 
 SETTINGS = SegmentSettings()
@@ -97,6 +98,7 @@ class Segment:
     at_rest: np.ndarray  # the rotor moves so little that its encoder's counts do not average out, shape (k,)
     passband: float  # of the smoother, as turns per radian of a shaft that makes one in 1/fc: 1/(2π fc) [s]
     block: int = 1  # residuals that count as one (`SegmentSettings.block`)
+    sampled: float = 1.0  # share of the residuals with a reading of the slowest channel
 
     @cached_property
     def link_cosine(self) -> np.ndarray:
@@ -212,6 +214,8 @@ def _segment(
     # With one encoder the sensor is compared with the link's motion, measured or simulated.
     balances = np.array(["motor_current" in recording, has_torque and (link_measured or not weighed), weighed])
     usable, held_out = _usable(recording, index, at, state[:, 0], balances, settle)
+    sampled = np.ones_like(usable) if link_measured else _sampled(conditioned, part, at + recording.time[0])
+    usable, held_out = usable & sampled, held_out & sampled
     one = Segment(
         recording=index, name=recording.name, time=since, rotor=rotor, link=link,
         rotor_measured="motor_position" in recording, link_measured=link_measured, weighed=weighed,
@@ -220,7 +224,7 @@ def _segment(
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=rate, measured_bend=bend,
         state=state, load=measured[:, TORQUE] if has_torque else _own_torque(p, state) - decimate(external),
         balances=balances, usable=usable, held_out=held_out, at_rest=_at_rest(state[:, 0], _rotor_count(recording, joint, p)),
-        passband=1 / (2 * np.pi * whole),
+        passband=1 / (2 * np.pi * whole), sampled=float(sampled.mean(axis=0).min()),
     )  # fmt: skip
     one = replace(one, block=_block(one, conditioned, [drawn[n] for n in ENCODERS], read_noise[:, CURRENT, 0], p))
     more, rate_noise, bend_noise = np.moveaxis(decimate(read_noise), -1, 0)
@@ -247,11 +251,13 @@ def _smoothed(
         return s.time, np.stack([s.value, s.rate, s.acceleration], axis=-1)
 
     cutoff = conditioned.passband
-    if "motor_position" in conditioned.recording:
+    if all(name in conditioned.recording for name in ENCODERS):
         return *through(cutoff), passband(time, cutoff), SETTINGS.settle_time
-    readings = min([CUTOFF, *(SHARE * conditioned.channels[name].rate for name in conditioned.news)])
-    following = max(SETTINGS.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), SETTINGS.slowest)
-    following = min(following, cutoff)
+    readings = min([CUTOFF, *(SETTINGS.readings * conditioned.channels[name].rate for name in conditioned.news)])
+    following = cutoff
+    if "motor_position" not in conditioned.recording:
+        following = max(SETTINGS.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), SETTINGS.slowest)
+        following = min(following, cutoff)
     at, found = through(readings, SETTINGS.readings)
     found = np.where(np.isin([*names, *names], ENCODERS)[:, None], through(following)[1], found)
     if weighed:  # channels that are compared go through one smoother
@@ -387,6 +393,22 @@ def _usable(
     usable = np.column_stack([begun, begun, (settled if sensor else begun) & weighed]) & balances
     held_out = in_held_out_block(at, index)[:, None]
     return usable & ~held_out, usable & held_out
+
+
+def _sampled(conditioned: Conditioned, part: slice, at: np.ndarray) -> np.ndarray:
+    """Return which residuals at times `at` [s] have a reading within half of their interval, shape (k, len(BALANCES)).
+
+    In a log that is read as often, all have.
+    """
+    found = np.ones((len(at), len(BALANCES)), bool)
+    for balance, name in ((CURRENT, "motor_current"), (TORQUE, "joint_torque")):
+        if name in conditioned.channels and STEP * DECIMATION * conditioned.channels[name].rate < 1.0:
+            time = conditioned.recording.time[part]
+            time = time[conditioned.news[name][part]] if name in conditioned.news else time
+            after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+            away = np.minimum(np.abs(time[after] - at), np.abs(time[after - 1] - at))
+            found[:, balance] = away <= 0.5 * STEP * DECIMATION
+    return found
 
 
 def _own_torque(p: np.void, state: np.ndarray) -> np.ndarray:

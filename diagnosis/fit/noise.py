@@ -325,16 +325,18 @@ def rows_of(segments: Sequence[Segment]) -> tuple[np.ndarray, np.ndarray, np.nda
 # --- learning the noise ----------------------------------------------------------------------------------------------
 
 
-def haar(x: np.ndarray, use: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def haar(x: np.ndarray, use: np.ndarray, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Mean squares of the Haar wavelets of series x, shape (k, c), over samples in use; and their numbers.
 
-    A wavelet of scale L: mean of L samples less the mean of the L before. Returns shape (len(SCALES), c) and (len(SCALES),).
+    A wavelet of scale L: mean of L samples less the mean of the L before, with at least a share of them in use. Returns shape
+    (len(SCALES), c) and (len(SCALES),).
     """
-    return _haar(np.where(use[:, None], x, 0.0), use, np.array(SCALES))
+    least = np.maximum((share * np.array(SCALES)).astype(int), 1)
+    return _haar(np.where(use[:, None], x, 0.0), use, np.array(SCALES), least)
 
 
 @kernel
-def _haar(x, use, scales):
+def _haar(x, use, scales, least):
     k, c = x.shape
     total, count = np.zeros((k + 1, c)), np.zeros(k + 1, np.int64)
     for i in range(k):
@@ -347,14 +349,15 @@ def _haar(x, use, scales):
         whole = 0
         for begin in range(0, k - 2 * scale + 1, scale):
             middle, end = begin + scale, begin + 2 * scale
-            if count[end] - count[begin] == 2 * scale:
+            before, after = count[middle] - count[begin], count[end] - count[middle]
+            if min(before, after) >= least[s]:
                 whole += 1
                 for j in range(c):
-                    d = total[end, j] - 2 * total[middle, j] + total[begin, j]
+                    d = (total[end, j] - total[middle, j]) / after - (total[middle, j] - total[begin, j]) / before
                     energy[s, j] += d * d
         if whole:
             for j in range(c):
-                energy[s, j] /= whole * scale * scale
+                energy[s, j] /= whole
             number[s] = 0.5 * whole  # neighbours overlap by half
     return energy, number
 
@@ -446,12 +449,12 @@ def learn(
             if use.sum() < 8:
                 use = counted
             r = _clipped(residuals[i][:, b], use)
-            e, n = haar(np.column_stack([r, _clipped(replicates[i][:, b], use)]), use)
+            e, n = haar(np.column_stack([r, _clipped(replicates[i][:, b], use)]), use, segment.sampled)
             energy += n * e[:, 0]
             known += n * e[:, 1]
             number += n
             if spread is not None:
-                more, _ = haar(spread[i][:, b], use)
+                more, _ = haar(spread[i][:, b], use, segment.sampled)
                 energy += n * more.sum(axis=1)
         good = number > 0
         if good.any():

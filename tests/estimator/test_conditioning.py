@@ -148,6 +148,19 @@ def test_rest_and_slow_counts_are_not_repeats():
     )
 
 
+@pytest.mark.parametrize("spread", [2.0, 4.0, 8.0])
+def test_coarse_readings_that_agree_by_chance_are_no_repeats(spread):
+    """Two samples of a noisy current in motion often have the same count."""
+    rng = np.random.default_rng(3)
+    coarse = np.round(60 * np.sin(np.arange(4000) / 20) + spread * rng.standard_normal(4000))
+    whole = [slice(0, len(coarse))]
+    assert news_of(coarse, whole)[1] < 0.02
+    held = coarse.copy()
+    rows = np.flatnonzero(rng.random(len(held)) < 0.2)
+    held[rows[rows > 0]] = held[rows[rows > 0] - 1]
+    assert news_of(held, whole)[1] > 0.08
+
+
 # --- the passband -----------------------------------------------------------------------------------------------------
 
 
