@@ -247,8 +247,7 @@ def _shapes(conditioned: Conditioned, joint: Joint, channel: str, without: float
     if channel != "joint_torque":
         found["load friction"] = np.abs(load) * np.sign(velocity)
     found["offset"] = np.ones(len(at))
-    if recording.external == "measured":
-        found["external torque"] = -columns[-4]
+    found["external torque"] = -columns[-4]
     return _Shapes(at, recording.time[at] - recording.time[0], velocity, found, columns[-3], recording[channel][at])
 
 
@@ -263,6 +262,8 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
     if not each:
         return None
     names = [n for n in each[0][1].columns if all(n in s.columns for _, s in each)]
+    if not any(s.columns["external torque"].any() for _, s in each):
+        names.remove("external torque")
     speed, y, raw = (np.concatenate([getattr(s, a) for _, s in each]) for a in ("speed", "smoothed", "reading"))
     held = np.concatenate([in_held_out_block(s.time, i) for i, s in each])
     cluster = np.concatenate([np.floor(s.time / _CLUSTER) + 1e6 * i for i, s in each])
