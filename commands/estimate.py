@@ -53,9 +53,8 @@ def command(
     With a joint that states its uncertainty (as `diagnose` writes it), estimates have 95 % bands; estimators that simulate the
     joint's dynamics have bands only if `--filter` names them. Data with a mistake that makes estimates meaningless are refused.
     """
-    from ..diagnosis.data.coverage import noisy_torque_sensor
     from ..diagnosis.data.mistakes import require_sound
-    from ..diagnosis.regression import contradictions, regressions
+    from ..diagnosis.doubts import doubts
     from ..estimator import registry
     from ..estimator.offline import beyond_range, estimate_recording, lacking, write_estimates
     from ..estimator.scoring import no_estimates
@@ -73,10 +72,9 @@ def command(
     data, unread = require_sound(data, described)
     give_back_free_pages()
     _check_samples(measurement, data)
-    lost = {m.column for m in unread}
-    wrong_load = contradictions([r for r in regressions(data, described) if r.channel not in lost], described)
-    for text in wrong_load:
-        warnings.warn(f"{data.name}: {text}", InputWarning, stacklevel=2)
+    wrong_load, others = doubts(data, described, lost={m.column for m in unread})
+    for text in (*(f"{data.name}: {text}" for text in wrong_load), *others):
+        warnings.warn(text, InputWarning, stacklevel=2)
     for recording in data.recordings:
         for name, why in lacking(recording, filter_ or ()).items():
             raise _missing(recording, name, why)
@@ -85,8 +83,6 @@ def command(
     bands = described.uncertainty is not None
     with output_folder(out, maker) as folder:
         for recording in data.recordings:
-            if text := noisy_torque_sensor(recording, described):
-                warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
             found = estimate_recording(recording, described, filter_, bands)
             for name in filter_ or ():
                 if name in found.left_out:

@@ -14,7 +14,8 @@ from ..models.joint import Joint
 from ..models.recording import Measurement
 from .data import coverage
 from .data.mistakes import Mistake, find_mistakes, mended_if_possible
-from .regression import Regression, contradictions, regressions
+from .doubts import doubts
+from .regression import Regression, regressions
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,8 @@ def check(measurement: Measurement, joint: Joint) -> Check:
     """Check a measurement against a joint's description. If its mistakes can be corrected, the rest is of the corrected data.
 
     Warns:
-      InputWarning: a motor torque that does not match the motor current, a load that the torques contradict, a noisy torque
-        sensor.
+      InputWarning: a load, a drive or a stiffness that the torques contradict, a motor torque that does not match the motor
+        current, a noisy sensor.
     """
     mistakes = find_mistakes(measurement, joint)
     corrected = mended_if_possible(measurement, joint, mistakes)
@@ -85,13 +86,7 @@ def check(measurement: Measurement, joint: Joint) -> Check:
         coarser(data.recordings, joint), coverage.balances(data), regressions(data, joint, conditioned),
         tuple(name for name in causes.of(joint) if name not in reasons), reasons,
     )  # fmt: skip
-    for text in contradictions(found.regressions, joint):
-        warnings.warn(f"{measurement.name}: {text}", InputWarning, stacklevel=2)
-    for recording in data.recordings:
-        if text := coverage.noisy_torque_sensor(recording, joint):
-            warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
-        ratio = coverage.torque_over_current(recording, joint)
-        if ratio is not None:
-            text = f"motor_torque is {ratio:.3g} times motor_current times the drive's torque constant: one of them is wrong"
-            warnings.warn(f"{recording.name}: {text}", InputWarning, stacklevel=2)
+    load, others = doubts(data, joint, conditioned)
+    for text in (*(f"{measurement.name}: {text}" for text in load), *others):
+        warnings.warn(text, InputWarning, stacklevel=2)
     return found

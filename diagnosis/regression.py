@@ -28,6 +28,7 @@ from ..models.joint_parts import Mounting
 from ..models.motion import smooth
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS, DRIVING
+from .data.coverage import AGREED
 from .data.segments import ENOUGH, in_held_out_block
 from .data.stretches import most_telling
 
@@ -35,13 +36,13 @@ MOVING = 0.05
 """Share of the 98 % quantile of speed below which a sample is at rest, where friction is unknown up to its level."""
 LONGEST = 300.0
 """Seconds of a measurement that a regression uses, the most informative ones."""
-_LEAST = 0.02  # share of the rated torque, below which a torque sensor reads little but its noise
+LEAST = 0.02  # share of the rated torque, below which a torque sensor reads little but its noise
 _TIMES = 4.0  # ratio of a gravity moment by the drive to the described one, or the reverse, that contradicts it
 _FRICTION = 0.25  # share of Coulomb friction, below which such a difference may be friction that varies with the angle
 _STEP = 2e-3  # s: of the smoother's grid
 _EDGE = 0.1  # s: at both ends of a part, where the smoother settles
 _FEWEST = 20  # samples in motion for each coefficient
-_CLUSTER = 1.0  # s: residuals that far apart count as independent
+CLUSTER = 1.0  # s: residuals that far apart count as independent
 _NOTHING = 1e-6  # share of a number that counts as zero
 _SAME = 1e-6  # share of a column that no other column explains, below which it is left out
 
@@ -139,7 +140,7 @@ class Regression:
 
 
 def regressions(
-    measurement: Measurement, joint: Joint, conditioned: Sequence[Conditioned] | None = None
+    measurement: Measurement, joint: Joint, conditioned: Sequence[Conditioned] | None = None, passband: float = np.inf
 ) -> tuple[Regression, ...]:
     """Fit the regression of every torque channel that a measurement has.
 
@@ -147,6 +148,7 @@ def regressions(
       measurement: recordings of the joint; pushes of unknown size are not modelled, recordings that have them are left out.
       joint: its description.
       conditioned: the recordings of the measurement, if they are conditioned already.
+      passband: highest one of the smoother [Hz].
 
     Returns:
       One regression per channel; none for a channel with too little motion.
@@ -155,6 +157,7 @@ def regressions(
     if part is not measurement:
         measurement, conditioned = part, None
     every = conditioned or [condition(r, joint) for r in measurement.recordings]
+    every = [replace(c, passband=min(c.passband, passband)) for c in every]
     pairs = zip(measurement.recordings, every, strict=True)
     used = [(r, c) for r, c in pairs if r.external != "unmeasured" and not r.link.locked]
     channels = [name for name in DRIVING if any(name in r for r, _ in used)]
@@ -166,8 +169,7 @@ def regressions(
 def contradictions(every: Sequence[Regression], joint: Joint) -> tuple[str, ...]:
     """Return the numbers of the load that a torque sensor contradicts beyond any joint within tolerance, as sentences; without a
     sensor, a gravity moment that the drive contradicts by `_TIMES` (friction turns with the motion, and hides an inertia)."""
-    p, rated = joint.record()[0], joint.numbers["rated_torque"].value
-    sensed = [r for r in every if r.channel == "joint_torque" and r.spread > _LEAST * rated]
+    p, sensed = joint.record()[0], _sensed(every, joint)
     found = []
     for r in sensed or every:
         friction = float(p["Fc"] / (p["Kt"] if r.channel == "motor_current" else 1.0))
@@ -176,11 +178,32 @@ def contradictions(every: Sequence[Regression], joint: Joint) -> tuple[str, ...]
             drive = c.means == "gravity_moment" and more > _TIMES * less and c.misfit > _FRICTION * friction
             if c.beyond > CUT and (drive or (sensed and c.means in ("gravity_moment", "inertia"))):
                 clock = ", and is time in seconds" if c.means == "inertia" else ""
-                found.append(
-                    f"{r.channel}: {c.means.replace('_', ' ')} is {c.number:.3g} {c.unit}, not {c.described:.3g} ± "
-                    f"{c.tolerance:.2g}: is the load as described{clock}?"
-                )
+                found.append(f"{_contradicted(r, c)}: is the load as described{clock}?")
     return tuple(found)
+
+
+def contradictions_of_drive(every: Sequence[Regression], joint: Joint) -> tuple[str, ...]:
+    """Return the rotor inertia and torque constant that current and torque sensor contradict likewise; none without a sensor."""
+    return tuple(
+        f"{_contradicted(r, c)}: is the drive as described, and is time in seconds?"
+        for r in every
+        for c in r.coefficients
+        if c.means in ("rotor_inertia", "Kt")
+        and c.beyond > CUT
+        and abs(c.number - c.described) > AGREED * c.described
+        and _sensed(every, joint)
+    )
+
+
+def _sensed(every: Sequence[Regression], joint: Joint) -> list[Regression]:
+    """The regression of a torque sensor that reads more than its noise."""
+    rated = joint.numbers["rated_torque"].value
+    return [r for r in every if r.channel == "joint_torque" and r.spread > LEAST * rated]
+
+
+def _contradicted(r: Regression, c: Coefficient) -> str:
+    means = c.means.replace("_", " ")
+    return f"{r.channel}: {means} is {c.number:.3g} {c.unit}, not {c.described:.3g} ± {c.tolerance:.2g}"
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
@@ -247,8 +270,7 @@ def _shapes(conditioned: Conditioned, joint: Joint, channel: str, without: float
     if channel != "joint_torque":
         found["load friction"] = np.abs(load) * np.sign(velocity)
     found["offset"] = np.ones(len(at))
-    if recording.external == "measured":
-        found["external torque"] = -columns[-4]
+    found["external torque"] = -columns[-4]
     return _Shapes(at, recording.time[at] - recording.time[0], velocity, found, columns[-3], recording[channel][at])
 
 
@@ -263,21 +285,23 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
     if not each:
         return None
     names = [n for n in each[0][1].columns if all(n in s.columns for _, s in each)]
+    if not any(s.columns["external torque"].any() for _, s in each):
+        names.remove("external torque")
     speed, y, raw = (np.concatenate([getattr(s, a) for _, s in each]) for a in ("speed", "smoothed", "reading"))
     held = np.concatenate([in_held_out_block(s.time, i) for i, s in each])
-    cluster = np.concatenate([np.floor(s.time / _CLUSTER) + 1e6 * i for i, s in each])
+    cluster = np.concatenate([np.floor(s.time / CLUSTER) + 1e6 * i for i, s in each])
     X = np.column_stack([np.concatenate([s.columns[n] for _, s in each]) for n in names])
     moving = np.abs(speed) > MOVING * float(np.quantile(np.abs(speed), 0.98))
     X, y, raw, held, cluster = X[moving], y[moving], raw[moving], held[moving], cluster[moving]
     kept = _independent(X, [names.index(n) for n in _PREFERRED if n in names])
     if len(y) < _FEWEST * len(kept) or not len(kept):
         return None
-    beta = _least_squares(X[:, kept], y)
+    beta = least_squares(X[:, kept], y)
     left = y - X[:, kept] @ beta
     unseen = float("nan")
     if _FEWEST * len(kept) <= (~held).sum() and held.mean() > ENOUGH:
-        unseen = _rms(raw[held] - X[held][:, kept] @ _least_squares(X[~held][:, kept], y[~held]))
-    std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
+        unseen = _rms(raw[held] - X[held][:, kept] @ least_squares(X[~held][:, kept], y[~held]))
+    std = np.sqrt(np.diag(covariance(X[:, kept], left, cluster)))
     alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
     coefficients = tuple(
         replace(_of_joint(names[k], float(b), float(s), channel, joint, link, alone), size=_rms(X[:, k]))
@@ -311,12 +335,12 @@ def _independent(X: np.ndarray, order: Sequence[int]) -> list[int]:
     return kept
 
 
-def _least_squares(X: np.ndarray, y: np.ndarray) -> np.ndarray:
+def least_squares(X: np.ndarray, y: np.ndarray) -> np.ndarray:
     scale = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     return np.linalg.lstsq(X / scale, y, rcond=1e-10)[0] / scale
 
 
-def _covariance(X: np.ndarray, left: np.ndarray, cluster: np.ndarray) -> np.ndarray:
+def covariance(X: np.ndarray, left: np.ndarray, cluster: np.ndarray) -> np.ndarray:
     """Covariance of the coefficients that takes residuals of one cluster as one (Liang and Zeger, 1986)."""
     scale = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     A = X / scale

@@ -21,7 +21,7 @@ from ...models.dynamics import State
 from ...models.joint import Joint
 from ...models.motion import smooth
 from ...models.recording import Measurement, Recording
-from ...models.signals import POSITIONS, SENSED
+from ...models.signals import CHANNELS, POSITIONS, SENSED
 from .segments import DECIMATION, SETTINGS, STEP, undisturbed
 
 SLIDING = 2.5
@@ -31,7 +31,7 @@ SLOWEST = 10.0
 TORSION_RATE, INERTIA_RATE = 50.0, 20.0
 """Rates [Hz] below which a log shows no torsion and no resonance, and no inertia: their passband is a quarter."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
-_AGREED = 0.05  # by which a drive's torque may differ from its torque constant times the current
+AGREED = 0.05  # by which a drive's torque may differ from its torque constant times the current
 # Times the described noise, and share of the readings, from which a sensor's noise is named.
 _LOUD, _VISIBLE = 5.0, 0.15
 _FAST, _MANY = 100.0, 200  # Hz and samples, below which motion looks like noise
@@ -202,20 +202,39 @@ def torque_over_current(recording: Recording, joint: Joint) -> float | None:
         return None
     ratio = float(np.mean(torque * expected)) / (power - noise**2)
     rest = float(np.sqrt(np.mean((torque - ratio * expected) ** 2) / (len(torque) * power)))
-    return ratio if abs(ratio - 1) > _AGREED + 3 * rest else None
+    return ratio if abs(ratio - 1) > AGREED + 3 * rest else None
 
 
-def noisy_torque_sensor(recording: Recording, joint: Joint) -> str:
-    """Return in words that a torque sensor has noise far above the described one and visible in its readings; else empty."""
-    if "joint_torque" not in recording or recording.interval * _FAST > 1.0:
-        return ""
-    reading, described = recording["joint_torque"], joint.sensors.joint_torque.noise
-    off = np.concatenate([off_motion(recording.time[p], reading[p])[0] for p in stretches(recording.segments)])
-    # The median ignores jumps of stick-slip.
-    noise = 1.4826 * float(np.median(np.abs(off))) if len(off) > _MANY else 0.0
-    if noise <= max(_LOUD * described, _VISIBLE * float(np.std(reading))):
-        return ""
-    return f"joint_torque has a noise of {noise:.2g} N·m rms, described: {described:.2g}: is the sensor or its cable damaged?"
+def noisy_sensors(recording: Recording, joint: Joint) -> Iterator[str]:
+    """Yield in words the sensors of torque and current that have noise far above the described one and visible in their readings.
+
+    A joint that vibrates has a real current that looks like noise: its encoders have it, too.
+    """
+    if recording.interval * _FAST > 1.0:
+        return
+
+    def noise(column: str) -> float:
+        reading = recording[column]
+        off = np.concatenate([off_motion(recording.time[p], reading[p])[0] for p in stretches(recording.segments)])
+        # The median ignores jumps of stick-slip.
+        return 1.4826 * float(np.median(np.abs(off))) if len(off) > _MANY else 0.0
+
+    s = joint.sensors
+    encoders = {"motor_position": s.motor_encoder, "link_position": s.link_encoder}
+    vibrates = any(
+        noise(name) > _LOUD * math.hypot(spec.noise, spec.resolution)
+        for name, spec in encoders.items()
+        if name in recording
+    )
+    for column, described in (("joint_torque", s.joint_torque.noise), ("motor_current", s.motor_current.noise)):
+        if column not in recording or (vibrates and column == "motor_current"):
+            continue
+        found = noise(column)
+        if found > max(_LOUD * described, _VISIBLE * float(np.std(recording[column]))):
+            yield (
+                f"{column} has a noise of {found:.2g} {CHANNELS[column].unit} rms, described: {described:.2g}: is the sensor or "
+                "its cable damaged?"
+            )
 
 
 def undetermined(

@@ -136,6 +136,24 @@ def test_a_torque_sensor_contradicts_a_load_and_a_clock(scale, said, rng, tmp_pa
     assert len(found) == bool(said) and said in "".join(found), found
 
 
+def test_measured_pushes_next_to_a_recording_without_any(rng, tmp_path):
+    """They were part of the residual, and the inertia was wrong."""
+    recordings = []
+    for name, size in (("free", 0.0), ("pushed", 3.0)):
+        time, theta, _, a = motion(rng, 20.0)
+        push = size * (np.sin(2.0 * time) > 0.5)
+        torque = 9.0 * np.sin(theta) + 0.35 * a - push + 0.02 * rng.standard_normal(len(time))
+        columns = {"link_position": theta, "joint_torque": torque} | ({"external_torque": push} if size else {})
+        external = "measured" if size else "none"
+        recordings.append(Recording(name, time, columns, link=LINK, external=external))
+    joint = load_joint("test-joint")
+    (both,) = regressions(Measurement("made", tmp_path, tuple(recordings)), joint)
+    (inertia,) = [c.number for c in both.coefficients if c.means == "inertia"]
+    assert inertia == pytest.approx(0.35, rel=0.02) and both.rms < 0.3
+    (free,) = regressions(Measurement("made", tmp_path, tuple(recordings[:1])), joint)
+    assert free.left_out == ("link inertia",) and np.isfinite(both.predict(recordings[0], joint)).any()
+
+
 @pytest.mark.slow
 def test_a_centre_of_mass_that_is_a_few_degrees_off_is_calibrated(rng, tmp_path):
     """A regression has gravity in two directions; a diagnosis that had one named a payload at 0.99."""
