@@ -5,8 +5,8 @@ torques then have no relative smoothing error. Each segment has a *noise replica
 sensors' stated noise drawn and added again. Their difference gives the effect of the motion's noise on a residual.
 
 With one encoder, the rotor's motion follows from that encoder and the description; the replay simulates the link
-(`Segment.link_measured`). Readings then need less smoothing than motion: friction reverses within a sample. A log slower than the
-residuals has them at its samples only.
+(`Segment.link_measured`). Readings then need less smoothing than motion, of a log slower than the residuals at least: friction
+reverses within a sample. Such a log has residuals at its samples only.
 
 The link encoder alone also sees the gear's kinematic error and the link's resonance. The rotor then follows the link below the
 frequency of that resonance, and moves evenly above. The gear's orders are in the simulation alone. A torque sensor is compared
@@ -251,7 +251,8 @@ def _smoothed(
         return s.time, np.stack([s.value, s.rate, s.acceleration], axis=-1)
 
     cutoff = conditioned.passband
-    if all(name in conditioned.recording for name in ENCODERS):
+    slow = any(_slow(conditioned, name) for name in ("motor_current", "joint_torque"))
+    if "motor_position" in conditioned.recording and not (slow and "link_position" not in conditioned.recording):
         return *through(cutoff), passband(time, cutoff), SETTINGS.settle_time
     readings = min([CUTOFF, *(SETTINGS.readings * conditioned.channels[name].rate for name in conditioned.news)])
     following = cutoff
@@ -395,6 +396,11 @@ def _usable(
     return usable & ~held_out, usable & held_out
 
 
+def _slow(conditioned: Conditioned, name: str) -> bool:
+    """Return whether a channel is read more rarely than residuals are formed."""
+    return name in conditioned.channels and STEP * DECIMATION * conditioned.channels[name].rate < 1.0
+
+
 def _sampled(conditioned: Conditioned, part: slice, at: np.ndarray) -> np.ndarray:
     """Return which residuals at times `at` [s] have a reading within half of their interval, shape (k, len(BALANCES)).
 
@@ -402,7 +408,7 @@ def _sampled(conditioned: Conditioned, part: slice, at: np.ndarray) -> np.ndarra
     """
     found = np.ones((len(at), len(BALANCES)), bool)
     for balance, name in ((CURRENT, "motor_current"), (TORQUE, "joint_torque")):
-        if name in conditioned.channels and STEP * DECIMATION * conditioned.channels[name].rate < 1.0:
+        if _slow(conditioned, name):
             time = conditioned.recording.time[part]
             time = time[conditioned.news[name][part]] if name in conditioned.news else time
             after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
