@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import dataclasses
+import inspect
 import json
 import math
 import re
+import textwrap
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,7 +22,38 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from .errors import LARGEST_TEXT, InputError, first_line, is_there, nearest, read_text, unknown_key
 from .output import write_into_place
-from .schema import documented
+
+
+def documented(schema: dict[str, Any], model: type) -> None:
+    """Complete the JSON Schema of a model alone in place (`json_schema_extra` of pydantic): descriptions from the
+    docstrings below fields, and a short form of the model (`model.short`, a JSON type)."""
+    texts = {name: text for one in reversed(model.__mro__) for name, text in _docstrings(one).items()}
+    for name, field in schema.get("properties", {}).items():
+        field.pop("title", None)
+        if name in texts:
+            field.setdefault("description", texts[name])
+    schema["description"] = inspect.cleandoc(model.__doc__ or "")
+    short = getattr(model, "short", None)
+    if short:
+        whole = dict(schema)
+        schema.clear()
+        schema |= {"description": whole["description"], "anyOf": [{"type": short}, whole]}
+
+
+@cache
+def _docstrings(model: type) -> dict[str, str]:
+    if not model.__module__.startswith(__name__.partition(".")[0]):
+        return {}
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    found, field = {}, ""
+    for node in getattr(tree, "body", ()):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            field = node.target.id
+            continue
+        if field and isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            found[field] = inspect.cleandoc(str(node.value.value))
+        field = ""
+    return found
 
 
 def _strict(schema: Any, model: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,18 +16,19 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 from . import causes, units
 from .controller import Controller
 from .errors import InputError, InputWarning, is_there, nearest
-from .faults import contradictions, unlike_mjcf
 from .files import Strict, load, parse, place, write_into_place, write_text, yaml_text
 from .joint_parts import (
     UNREAD,
     Discrepancy,
     Effect,
+    Fault,
     Mounting,
     Number,
     Order,
     Sensors,
     Uncertainty,
     ValidRange,
+    contradictions,
     number_faults,
     shared_fault,
 )  # fmt: skip
@@ -237,11 +239,6 @@ class Joint(Strict):
             )
         return beside
 
-    def stated_by_mjcf(self) -> dict[str, float]:
-        """Return numbers of the description that its own MJCF also has, by symbol; none of a shipped one, which is
-        for looks."""
-        return {} if self.mjcf.parent == shipped() else stated_numbers(self.mjcf)
-
     def mount(self, name: str | None = None) -> Mounting:
         """Return a mounting by name; `InputError` names the known ones."""
         wanted = self.mounting if name is None else name
@@ -378,6 +375,25 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
             at = place(path, problem.field)
             warnings.warn(f"{at}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
     return joint
+
+
+def unlike_mjcf(joint: Joint) -> Iterator[Fault]:
+    """Yield a fault if numbers of a joint's MJCF differ from its description by more than any tolerance. The
+    description counts."""
+    other = []
+    # A shipped MJCF is for looks.
+    stated = {} if joint.mjcf.parent == shipped() else stated_numbers(joint.mjcf)
+    for symbol, got in stated.items():
+        if symbol not in joint.numbers:  # missing: reported elsewhere
+            continue
+        n = joint.numbers[symbol]
+        shared = joint.shared_tolerances.get(n.shared or "", 0.0)
+        left_open = math.hypot(n.tolerance * n.value, n.deviation, shared * n.value)
+        near = max(4 * left_open, 1e-3 * abs(n.value))
+        if min(abs(got - known) for known in (n.value, n.nominal) if known is not None) > near:
+            other.append(f"{symbol} = {got:.6g} for {n.value:.6g} {n.unit}")
+    if other:
+        yield Fault("warning", "model", f"{', '.join(other)} in the MJCF; the description's numbers count")
 
 
 def as_joint(data: dict[str, Any], path: Path) -> Joint:

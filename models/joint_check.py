@@ -17,10 +17,9 @@ from pydantic import BaseModel, ValidationError
 
 from . import causes
 from .errors import InputError
-from .faults import Fault, contradictions, unlike_mjcf
 from .files import descriptions, kind_of, read_yaml
-from .joint import Joint, known_joints, load_joint
-from .joint_parts import SYMBOLS, Effect, Mounting, Number, number_faults
+from .joint import Joint, known_joints, load_joint, unlike_mjcf
+from .joint_parts import SYMBOLS, Effect, Fault, Mounting, Number, contradictions, number_faults
 from .mjcf import check_mjcf
 from .parameters import GRAVITY
 
