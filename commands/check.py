@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..models.memory import give_back_large_arrays
+from ..models.chunks import give_back_large_arrays
 from ._console import console, print_table
 from ._measurement import load_measurement, print_mistakes
 from ._options import AsJson, MeasurementPath, OtherJoint, with_plugins

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..models.chunks import give_back_free_pages, give_back_large_arrays
 from ..models.errors import InputError
-from ..models.memory import give_back_free_pages, give_back_large_arrays
 from ..models.output import check_output, output_folder
 from ._console import console, stages
 from ._measurement import load_measurement

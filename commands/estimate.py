@@ -6,8 +6,8 @@ import math
 import warnings
 from typing import TYPE_CHECKING, Any
 
+from ..models.chunks import give_back_free_pages, give_back_large_arrays
 from ..models.errors import InputError, InputWarning
-from ..models.memory import give_back_free_pages, give_back_large_arrays
 from ..models.output import check_output, made_from, output_folder
 from ._console import console
 from ._measurement import load_measurement

@@ -26,12 +26,12 @@ from scipy.optimize import lsq_linear
 
 from ..estimator.conditioning import as_logged
 from ..models import laws
+from ..models.calibration import drawn_changes, moved
 from ..models.characteristics import friction, steady
 from ..models.errors import InputError
 from ..models.files import plain
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
-from ..models.uncertainty import drawn_changes, moved
 from .data.segments import CURRENT, Segment, decimate, segments
 from .fit.replay import parallel, replay, transmission
 

@@ -1,7 +1,7 @@
 """Characteristics of a joint description: stiffness, hysteresis, friction, resonances, resolution of its encoders; its
 friction as a table with efficiencies, and as a C function for feed-forward.
 
-Each with a standard deviation by the description's tolerances, or by its diagnosis (`uncertainty.directions`), to
+Each with a standard deviation by the description's tolerances, or by its diagnosis (`calibration.directions`), to
 first order. A friction map has the sliding friction in steady motion [N·m, motor side]: mesh with Stribeck curve, load
 and direction, viscous parts of mesh and motor. Friction over the link's angle (zero in the mean) and drift (transient)
 are left out.
@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from . import laws
+from .calibration import directions
 from .joint import Joint
 from .kernels import kernel
-from .uncertainty import directions
 
 _POINTS = 121
 _SPEEDS = (0.05, 0.2, 0.6)  # of the no-load speed
