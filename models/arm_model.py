@@ -26,7 +26,11 @@ def read(path: Path) -> mujoco.MjModel:
     text = read_text(path, "an MJCF or URDF file")
     urdf = _COMMENTS.sub("", text).lstrip().startswith("<robot")
     if urdf:
-        text = _without_looks(path, text)
+        root = xml_root(path, text, "a URDF")
+        for link in root.iter("link"):
+            for look in [one for one in link if one.tag in ("visual", "collision")]:
+                link.remove(look)
+        text = ElementTree.tostring(root, encoding="unicode")
     else:
         check_mjcf(path)
     with refusing(f"{path}: not a readable MJCF or URDF"):
@@ -50,14 +54,6 @@ def compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     return model
 
 
-def _without_looks(path: Path, text: str) -> str:
-    root = xml_root(path, text, "a URDF")
-    for link in root.iter("link"):
-        for look in [one for one in link if one.tag in ("visual", "collision")]:
-            link.remove(look)
-    return ElementTree.tostring(root, encoding="unicode")
-
-
 def written(model: mujoco.MjModel, kept: Collection[int] | None = None, q: np.ndarray | None = None) -> str:
     """Return masses and joints of a model, as the text of an MJCF without looks and files; `kept`: joints that remain,
     all by default; the others are fixed at their positions in q, shape (nq,)."""
@@ -70,30 +66,30 @@ def written(model: mujoco.MjModel, kept: Collection[int] | None = None, q: np.nd
     mujoco.mj_kinematics(m, data)
     root = ElementTree.Element("mujoco", model="arm")
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
-    ElementTree.SubElement(root, "option", gravity=_numbers(m.opt.gravity))
+    ElementTree.SubElement(root, "option", gravity=numbers(m.opt.gravity))
     bodies = [ElementTree.SubElement(root, "worldbody")]
     for i in range(1, m.nbody):
         name = {"name": m.body(i).name} if m.body(i).name else {}
         pos, quat = m.body_pos[i], m.body_quat[i]
         if i in m.jnt_bodyid[fixed]:
             pos, quat = _within(data, i, int(m.body_parentid[i]))
-        body = ElementTree.SubElement(bodies[m.body_parentid[i]], "body", name, pos=_numbers(pos), quat=_numbers(quat))
+        body = ElementTree.SubElement(bodies[m.body_parentid[i]], "body", name, pos=numbers(pos), quat=numbers(quat))
         bodies.append(body)
         for j in range(m.body_jntadr[i], m.body_jntadr[i] + m.body_jntnum[i]):
             if j in kept:
                 kind = "hinge" if int(m.jnt_type[j]) == _HINGE else "slide"
                 ElementTree.SubElement(
-                    body, "joint", name=m.joint(j).name, type=kind, pos=_numbers(m.jnt_pos[j]), axis=_numbers(m.jnt_axis[j]),
-                    ref=_numbers(m.qpos0[m.jnt_qposadr[j]]),
+                    body, "joint", name=m.joint(j).name, type=kind, pos=numbers(m.jnt_pos[j]), axis=numbers(m.jnt_axis[j]),
+                    ref=numbers(m.qpos0[m.jnt_qposadr[j]]),
                 )  # fmt: skip
         if m.body_mass[i] > 0.0:
             ElementTree.SubElement(
-                body, "inertial", pos=_numbers(m.body_ipos[i]), quat=_numbers(m.body_iquat[i]),
-                mass=_numbers(m.body_mass[i]), diaginertia=_numbers(m.body_inertia[i]),
+                body, "inertial", pos=numbers(m.body_ipos[i]), quat=numbers(m.body_iquat[i]),
+                mass=numbers(m.body_mass[i]), diaginertia=numbers(m.body_inertia[i]),
             )  # fmt: skip
         for k in np.flatnonzero(m.site_bodyid == i):
             if m.site(k).name:
-                places = {"pos": _numbers(m.site_pos[k]), "quat": _numbers(m.site_quat[k])}
+                places = {"pos": numbers(m.site_pos[k]), "quat": numbers(m.site_quat[k])}
                 ElementTree.SubElement(body, "site", places, name=m.site(k).name)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
@@ -235,5 +231,6 @@ def _within(data: mujoco.MjData, body: int, parent: int) -> tuple[np.ndarray, np
     return pos, quat
 
 
-def _numbers(values: np.ndarray | float) -> str:
+def numbers(values: Sequence[float] | np.ndarray | float) -> str:
+    """Return numbers as an attribute of an MJCF, to the bit."""
     return " ".join(repr(float(x)) for x in np.atleast_1d(values))

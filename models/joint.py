@@ -146,10 +146,7 @@ class Joint(Strict):
         yield from self._unread()
         yield from self._unknown()
         if self.mounting not in self.mountings:
-            yield (
-                f"mounting: expected one of {sorted(self.mountings)}, got {self.mounting!r}"
-                f"{nearest(self.mounting, self.mountings)}"
-            )
+            yield self._no_mounting(self.mounting)
         elif plain:
             try:
                 record = self.record()  # raises if there are too many orders
@@ -243,11 +240,12 @@ class Joint(Strict):
         """Return a mounting by name; `InputError` names the known ones."""
         wanted = self.mounting if name is None else name
         if wanted not in self.mountings:
-            raise InputError(
-                f"joint {self.name}: mounting: expected one of {sorted(self.mountings)}, got {wanted!r}"
-                f"{nearest(wanted, self.mountings)}"
-            )
+            raise InputError(f"joint {self.name}: {self._no_mounting(wanted)}")
         return self.mountings[wanted]
+
+    def _no_mounting(self, name: str) -> str:
+        known = sorted(self.mountings)
+        return f"mounting: expected one of {known}, got {name!r}{nearest(name, self.mountings)}"
 
     def record(self, mounting: Mounting | None = None) -> np.ndarray:
         """Return the parameter record of the joint in a mounting, shape (1,)."""
@@ -331,10 +329,7 @@ def shipped(name: str = "") -> Path:
 
 def known_joints() -> dict[str, Path]:
     """Return the paths of the shipped joints by name (with dashes)."""
-    found: dict[str, Path] = {}
-    for path in sorted(shipped().glob("*.yaml")):
-        found[path.stem.replace("_", "-")] = path
-    return found
+    return {path.stem.replace("_", "-"): path for path in sorted(shipped().glob("*.yaml"))}
 
 
 def load_joint(source: str | Path, beside: Path | None = None) -> Joint:

@@ -550,8 +550,6 @@ def _recording(
             text = f"{path}: payloads.{i}: it is carried at no time of the log, {time[0]:g} to {time[-1]:g} s"
             warnings.warn(text, InputWarning, stacklevel=3)
     if layout.arm is None:
-        if not recording.payloads:
-            return recording
-        return with_load(recording, load_joint(recording.joint, home).numbers["N"].value)
+        return with_load(recording, home=home)
     beside_log = (path.parent / layout.arm.model).is_file()
     return in_arm(recording, layout.arm, angles, path, path.parent if beside_log else layout._folder, home)
