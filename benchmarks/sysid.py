@@ -326,7 +326,7 @@ def _polynomials(p: np.void) -> dict[str, np.ndarray]:
 
 @cache
 def _drive():
-    """The drive's position controller (`sim.drive.control`, with the gains of the trials) as MuJoCo's control callback.
+    """The drive's position controller (`models.controller.control`, with the gains of the trials) as MuJoCo's control callback.
 
     It reads the commands from the controls of `COMMANDS`, writes the current's into that of the motor, and remembers in
     `userdata`; encoder counts are left out, so that a rollout is a smooth function of the numbers.

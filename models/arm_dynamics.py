@@ -37,20 +37,16 @@ _WEIGHTLESS = 1e-9  # N·m
 class Arm:
     """An arm, in the MJCF or URDF `path`, and one joint of it; `others`: names of the other joints."""
 
-    def __init__(self, spec: ArmSpec, folder: Path):
-        """Read the MJCF or URDF, next to the file that names it or shipped. Raises `InputError`: no such file or joint,
-        or not an arm of hinges and slides under gravity; one line."""
-        path = _find(spec.model, folder)
-        self._begin(spec, path, read(path))
-
-    @classmethod
-    def of_text(cls, spec: ArmSpec, text: str) -> Arm:
-        """Return the arm of an MJCF as text; `spec.model` is its name in messages."""
-        arm = cls.__new__(cls)
-        arm._begin(spec, Path(spec.model), compiled(mujoco.MjSpec.from_string(text), Path(spec.model)))
-        return arm
-
-    def _begin(self, spec: ArmSpec, path: Path, model: mujoco.MjModel) -> None:
+    def __init__(self, spec: ArmSpec, source: Path | str):
+        """Read the MJCF or URDF in the folder `source`, or shipped; or else `source` is the text of an MJCF, and `spec.model`
+        its name in messages. Raises `InputError`: no such file or joint, or not an arm of hinges and slides under gravity;
+        one line."""
+        if isinstance(source, Path):
+            path = _find(spec.model, source)
+            model = read(path)
+        else:
+            path = Path(spec.model)
+            model = compiled(mujoco.MjSpec.from_string(source), path)
         self.spec, self.path, self._model = spec, path, model
         for i in range(model.njnt):
             if int(model.jnt_type[i]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
@@ -59,15 +55,15 @@ class Arm:
                 )
         self._plants: dict[tuple[bool, ...], tuple[mujoco.MjModel, mujoco.MjData]] = {}
         self._carrying((True,) * len(spec.payloads))  # checks them
-        names = [self._model.joint(i).name for i in range(self._model.njnt)]
+        names = [model.joint(i).name for i in range(model.njnt)]
         if spec.joint not in names:
             raise InputError(
-                f"{self.path}: arm.joint: expected one of {names}, got {spec.joint!r}{nearest(spec.joint, names)}"
+                f"{path}: arm.joint: expected one of {names}, got {spec.joint!r}{nearest(spec.joint, names)}"
             )
         self._joint = names.index(spec.joint)
         self._diagonal = int(model.M_rowadr[self._joint] + model.M_rownnz[self._joint] - 1)
-        if int(self._model.jnt_type[self._joint]) != int(mujoco.mjtJoint.mjJNT_HINGE):
-            raise InputError(f"{self.path}: arm.joint: expected a hinge, {spec.joint!r} is another kind of joint")
+        if int(model.jnt_type[self._joint]) != int(mujoco.mjtJoint.mjJNT_HINGE):
+            raise InputError(f"{path}: arm.joint: expected a hinge, {spec.joint!r} is another kind of joint")
         self.others = tuple(name for name in names if name != spec.joint)
         for name in spec.positions:
             self._at(name, "arm.positions")

@@ -161,39 +161,38 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
         raise InputError(f"datasheet: expected {', '.join(missing)}, got none")
     name = check_name(sheet.name or catalogued.name.lower(), "name")
     path = path or Path(f"{name.replace('-', '_')}.yaml")
-    fitted = GearFit({}, [])
+    fitted, scatter, source = GearFit({}, []), 0.0, ""
     if sheet.gear is not None:
         before = _Rules(catalogued, given)
         fitted = fit(sheet.gear, {symbol: before[symbol] for symbol in ("Fs", "Fc", "vs", "bw")}, given)
         given |= {symbol: float(f"{value:.4g}") for symbol, (value, _) in fitted.numbers.items()}
+        scatter, source = sheet.gear.scatter, f"fitted to {sheet.gear.source}"
     rules = _Rules(catalogued, given)
     numbers: dict[str, dict[str, Any]] = {}
     for symbol, (unit, _) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
-        if symbol in OPTIONAL_SYMBOLS and symbol not in given:
-            continue
-        if sheet.gear is not None and symbol in fitted.numbers:
+        if symbol in fitted.numbers:
             tolerance = sheet.tolerances.get(symbol, float(f"{fitted.numbers[symbol][1]:.2g}"))
-            numbers[symbol] = _row(given[symbol], unit, tolerance, f"fitted to {sheet.gear.source}")
+            numbers[symbol] = _row(given[symbol], unit, tolerance, source)
             if symbol == "bw":
                 numbers[symbol]["shared"] = "friction"
         elif symbol in given:
             numbers[symbol] = _row(given[symbol], unit, *_given(symbol, sheet, catalogued))
-        else:
+        elif symbol in SYMBOLS:
             value, tolerance, rule = rules.of(symbol)
             numbers[symbol] = _row(value, unit, sheet.tolerances.get(symbol, tolerance), _RULE + rule)
         if symbol in _SHARED:
             numbers[symbol]["shared"] = _SHARED[symbol]
     values = {symbol: float(row["value"]) for symbol, row in numbers.items()}
-    exact = catalogued.exact
-    scatter = sheet.gear.scatter if sheet.gear is not None else 0.0
     data: dict[str, Any] = {
         "format": 1,
         "name": name,
-        "description": sheet.description or _description(sheet, catalogued),
+        "description": sheet.description
+        or f"Strain wave gear {catalogued.name}{f' with {sheet.motor}' if sheet.motor else ''}. Numbers whose source is a rule "
+        "are typical of the size and not from a datasheet; the others are as their sources say.",
         "model": f"{path.stem}.xml",
         "mounting": "link",
         "shared_tolerances": {
-            "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if exact else 0.2,
+            "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if catalogued.exact else 0.2,
             "friction": scatter if "Fs" in fitted.numbers else _friction_tolerance(sheet),
         },
         "numbers": numbers,
@@ -424,14 +423,6 @@ def _row(value: float, unit: str, tolerance: float, source: str) -> dict[str, An
     if tolerance:
         row["tolerance"] = tolerance
     return row | {"source": source}
-
-
-def _description(sheet: Datasheet, catalogued: Gear) -> str:
-    motor = f" with {sheet.motor}" if sheet.motor else ""
-    return (
-        f"Strain wave gear {catalogued.name}{motor}. Numbers whose source is a rule are typical of the size and "
-        "not from a datasheet; the others are as their sources say."
-    )
 
 
 def _filled(data: Mapping[str, Any], sheet: Datasheet) -> list[Filled]:

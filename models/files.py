@@ -154,9 +154,9 @@ _Loader.add_constructor(_INT, _number)
 _Loader.add_constructor(_FLOAT, _number)
 
 
-def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
-    """Return the file of a shipped name or a path. Raises `InputError`: neither; one line."""
-    path = known.get(str(source), Path(source))
+def find(source: str | Path, known: dict[str, Path], what: str, folder: Path = Path()) -> Path:
+    """Return the file of a shipped name, or of a path in a folder. Raises `InputError`: neither; one line."""
+    path = known.get(str(source), folder / source)
     if not is_there(path):
         hint = nearest(str(source), known)
         raise InputError(f"{what} {str(source)!r}: expected a path or one of {sorted(known)}, found neither{hint}")

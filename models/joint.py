@@ -15,8 +15,8 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from . import causes, units
 from .controller import Controller
-from .errors import InputError, InputWarning, is_there, nearest
-from .files import Strict, load, parse, place, write_into_place, write_text, yaml_text
+from .errors import InputError, InputWarning, nearest
+from .files import Strict, find, load, parse, place, write_into_place, write_text, yaml_text
 from .joint_parts import (
     UNREAD,
     Discrepancy,
@@ -350,14 +350,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     """
     known = known_joints()
     name = str(source).replace("_", "-")
-    if name in known:
-        path = known[name]
-    else:
-        path = Path(source) if beside is None else beside / source
-        if not is_there(path):
-            raise InputError(
-                f"joint {str(source)!r}: expected a path or one of {sorted(known)}, found neither{nearest(name, known)}"
-            )
+    path = find(name if name in known else source, known, "joint", beside or Path())
     joint = load(path, Joint, "a joint description")
     joint._path = path.resolve()
     if not joint.mjcf.is_file():

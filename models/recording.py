@@ -400,7 +400,7 @@ def with_load(recording: Recording, gear_ratio: float | None = None, home: Path 
     if recording.arm is None:
         payloads, link = recording.payloads, recording.link
         return replace(recording, load=load_of(payloads, link, recording.stamps, position, recording.segments))
-    arm = Arm.of_text(recording.arm.spec, recording.arm.mjcf)
+    arm = Arm(recording.arm.spec, recording.arm.mjcf)
     link, load = arm.of(recording.time, position, recording.arm.positions, recording.segments, recording.stamps)
     return replace(recording, link=link, load=load)
 

@@ -18,13 +18,13 @@ import mujoco
 import numpy as np
 
 from ..models import dynamics
+from ..models.controller import control
 from ..models.kernels import kernel
 from ..models.parameters import REFERENCE_TEMPERATURE, floats
 from ..models.pointers import call_estimator, call_step, floats_at, ints_at, word_at
 from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
-from .drive import control
 from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, instance, put_record, state_of
 from .sensors import distort, low_pass, sample
 
