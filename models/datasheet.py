@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from .arm import link_mass
 from .catalogue import Gear, gear
 from .characteristics import drive_gains
 from .controller import Controller
@@ -25,7 +26,6 @@ from .joint import Joint, as_joint, shipped
 from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, value_fault
 from .mjcf import STATED
 from .parameters import GRAVITY
-from .payload import link_mass
 from .units import plain
 
 _RULE = "rule: "

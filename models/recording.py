@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import model_validator
 
 from . import units
-from .arm import ArmRecord, ArmSpec, Load, joint_of
+from .arm import ArmRecord, ArmSpec, CarriedMass, Load, joint_of, load_of
 from .arm import column as arm_column
 from .chunks import BLOCK, large
 from .errors import InputError, InputWarning, nearest
@@ -30,7 +30,6 @@ from .joint_parts import Mounting
 from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel
-from .payload import CarriedMass, load_of
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals, at_samples
 from .tables import reading_parquet, write_table
 from .text_tables import TextTable

@@ -17,12 +17,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
-from ...models.arm import ArmSpec, joint_of
+from ...models.arm import ArmSpec, CarriedMass, PayloadSpec, joint_of
 from ...models.errors import InputError, InputWarning, nearest, unknown_key
 from ...models.files import Strict, load
 from ...models.joint import load_joint
 from ...models.joint_parts import Mounting
-from ...models.payload import CarriedMass, PayloadSpec
 from ...models.recording import External, Recording, check_channels, in_arm, with_load
 from ...models.signals import CHANNELS
 from ...models.text_tables import TextForm, seconds
