@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from ..models.arm import ArmPayload
-from ..models.arm_model import numbers, put_payloads, weigh
+from ..models.arm_dynamics import numbers, put_payloads, weigh
 from ..models.errors import refusing
 from ..models.joint import Joint
 from ..models.parameters import GRAVITY
@@ -86,7 +86,7 @@ def on_hinges(
     carried: Sequence[bool] = (),
 ) -> mujoco.MjModel:
     """Build the MuJoCo model of joints, by the names of their hinges, on those of an arm (`attach.attach`); `mjcf`: as
-    of `models.arm_model.reduced`; `carried`: whether each payload is carried. Raises `InputError`: as `attach.attach`.
+    of `models.arm_dynamics.reduced`; `carried`: whether each payload is carried. Raises `InputError`: as `attach.attach`.
 
     A wrench sensor is in each hinge: its y axis is opposite to the hinge's, as in a single joint, and its z axis points
     away from the link's centre of mass.
