@@ -240,14 +240,15 @@ def principal(changes: Sequence[Change], responses: np.ndarray, left: float, mos
     energy, vectors = np.maximum(energy[::-1], 0.0), vectors[:, ::-1]
     total = float(np.sum(energy))
     kept = int(np.searchsorted(np.cumsum(energy), (1 - left) * total)) + 1 if total > 0 else 0
-    found: list[Change] = []
-    for vector in vectors.T[: min(kept, most)]:
-        change: dict[str, float] = {}
-        for weight, one in zip(vector, changes, strict=True):
-            for name, x in one.items():
-                change[name] = change.get(name, 0.0) + float(weight) * x
-        found.append(change)
-    return found
+    return [_sum(vector, changes, {}) for vector in vectors.T[: min(kept, most)]]
+
+
+def _sum(weights: np.ndarray, changes: Sequence[Change], start: Change) -> Change:
+    total = dict(start)
+    for weight, change in zip(weights, changes, strict=True):
+        for name, x in change.items():
+            total[name] = total.get(name, 0.0) + float(weight) * x
+    return total
 
 
 def independent_changes(joint: Joint) -> list[Change]:
@@ -267,10 +268,8 @@ def drawn_changes(joint: Joint, count: int, seed: int) -> list[Change]:
     positive = {s.name: s.number.value for s in slots(joint) if s.name in joint.numbers and s.number.value > 0.0}
     found: list[Change] = []
     while len(found) < count:
-        total = dict(_within(calibration, calibration.draw(rng), known))
-        for weight, change in zip(standard(rng, len(diagnosed)), diagnosed, strict=True):
-            for name, x in change.items():
-                total[name] = total.get(name, 0.0) + float(weight) * x
+        own = _within(calibration, calibration.draw(rng), known)
+        total = _sum(standard(rng, len(diagnosed)), diagnosed, own)
         if all(value + total.get(name, 0.0) > 0.0 for name, value in positive.items()):
             found.append(total)
     return found

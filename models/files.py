@@ -125,12 +125,10 @@ _Loader.yaml_implicit_resolvers = {
     for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _Loader.add_implicit_resolver(_BOOL, re.compile("^(?:true|false)$"), list("tf"))
-_Loader.add_implicit_resolver(_INT, re.compile(r"^[-+]?(?:0|[1-9][0-9_]*)$"), list("-+0123456789"))
 _Loader.add_implicit_resolver(
     _FLOAT,
     re.compile(
-        r"^[-+]?(?:(?:0|[1-9][0-9_]*)\.[0-9_]*(?:[eE][-+]?[0-9]+)?|\.[0-9]+(?:[eE][-+]?[0-9]+)?"
-        r"|(?:0|[1-9][0-9_]*)[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))$|^\.(?:nan|NaN|NAN)$"
+        r"^[-+]?(?:(?:(?:0|[1-9][0-9_]*)(?:\.[0-9_]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|\.(?:inf|Inf|INF))$|^\.(?:nan|NaN|NAN)$"
     ),
     list("-+0123456789."),
 )
@@ -141,7 +139,7 @@ def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
     text = node.value.replace("_", "")
     if text.lstrip("+-").lower() in (".inf", ".nan"):
         return float(text.replace(".", ""))
-    value = int(text) if node.tag == _INT and len(text) < _DIGITS else float(text)
+    value = int(text) if text.lstrip("+-").isdigit() and len(text) < _DIGITS else float(text)
     if (value and abs(value) < _SMALLEST) or len(text) > _DIGITS:
         came = f"{text[:20]}…" if len(text) > _DIGITS else text
         problem = f"expected 0 or a number from {_SMALLEST:g} on with at most {_DIGITS} digits, got {came}"
@@ -150,7 +148,6 @@ def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
 
 
 _DIGITS, _SMALLEST = 100, 1e-100
-_Loader.add_constructor(_INT, _number)
 _Loader.add_constructor(_FLOAT, _number)
 
 

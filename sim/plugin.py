@@ -119,6 +119,10 @@ _TIME, _QPOS, _QVEL, _PASSIVE, _STATE, _DATA = (
 )
 _JOINT = 1  # mjWRAP_JOINT
 _free: Any = types.ExternalFunction("flexspline_free", types.void(types.intp))
+_allocate: Any = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)(("mju_malloc", native.library()))
+_attribute: Any = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p)(
+    ("mj_getPluginConfig", native.library())
+)
 
 
 def _word(address: int, field: str) -> int:
@@ -134,10 +138,9 @@ def _configured(m: int, instance: int) -> np.ndarray:
     """Return the parameter record of an instance's configuration, shape (1,). Raises `ValueError`: a field that is not its
     numbers, or no gear."""
     record = neutral()
-    p, read = record[0], native.library().mj_getPluginConfig
-    read.argtypes, read.restype = (ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p), ctypes.c_char_p
+    p = record[0]
     for name in PARAMETERS.names or ():
-        if numbers := [float(x) for x in read(m, instance, name.encode()).split()]:
+        if numbers := [float(x) for x in _attribute(m, instance, name.encode()).split()]:
             p[name] = np.reshape(numbers, PARAMETERS[name].shape)
     if not (np.isfinite(as_floats(record)).all() and min(p["N"], p["Jw"], p["Jl"], p["vs"]) > 0.0):
         raise ValueError("expected finite numbers of a gear, got others")
@@ -171,12 +174,6 @@ def _init(m: int, d: int, instance: int) -> int:
     ctypes.memmove(at, block.ctypes.data, block.nbytes)
     ctypes.c_int64.from_address(_word(d, "plugin_data") + 8 * instance).value = at
     return 0
-
-
-def _allocate(size: int) -> int:
-    allocate = native.library().mju_malloc
-    allocate.argtypes, allocate.restype = (ctypes.c_size_t,), ctypes.c_void_p
-    return int(allocate(size))
 
 
 @kernel
