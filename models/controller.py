@@ -6,7 +6,7 @@ The current controller, winding and supply are MuJoCo's `dcmotor` (R, L, back-EM
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -90,7 +90,7 @@ _VELOCITY, _TORQUE = (list(MODES).index(mode) for mode in ("velocity", "torque")
 
 
 @kernel
-def control(command, rate, measured, torque, state, dt, c):
+def control(command: float, rate: float, measured: float, torque: float, state: np.ndarray, dt: float, c: Any) -> float:
     """Return the current command [A].
 
     Args:
