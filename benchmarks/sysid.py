@@ -326,19 +326,13 @@ def _polynomials(p: np.void) -> dict[str, np.ndarray]:
 
 @cache
 def _drive():
-    """The drive's position controller (`sim.drive.control`, with the gains of the trials) as MuJoCo's control callback.
+    """The drive's position controller (`models.controller.control`, with the gains of the trials) as MuJoCo's control callback.
 
     It reads the commands from the controls of `COMMANDS`, writes the current's into that of the motor, and remembers in
     `userdata`; encoder counts are left out, so that a rollout is a smooth function of the numbers.
     """
-    # The field before `userdata` must not be empty: its address would be the same.
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><size nuserdata="4"/><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody>'
-        '<actuator><dcmotor joint="j" motorconst="1 1" resistance="1" inductance="1 0"/></actuator></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    at, USER = native.offsets(), native.find(data._address, data.userdata.ctypes.data)
-    TIME, QPOS, CTRL = (at[name] for name in ("time", "qpos", "ctrl"))
+    at = native.offsets()
+    TIME, QPOS, CTRL, USER = (at[name] for name in ("time", "qpos", "ctrl", "userdata"))
     c = CONTROLLER.record(load_joint("test-joint").record()[0], CONTROL_PERIOD, False)[0]
     kp, kd, ki, filtered, limit, gear = (float(c[n]) for n in ("kp", "kd", "ki", "filter", "limit", "gear"))
     step, substeps, dt = TIMESTEP, round(CONTROL_PERIOD / TIMESTEP), CONTROL_PERIOD

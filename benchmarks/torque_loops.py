@@ -21,14 +21,13 @@ import numpy as np
 
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator, KnownJoint
-from flexspline.models.controller import Controller
+from flexspline.models.controller import Controller, control
 from flexspline.models.errors import InputError
 from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.kernels import kernel
 from flexspline.scenarios.evaluation.draws import drawn_record, known_within, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import Scenario, Waypoint
-from flexspline.sim.drive import control
 from flexspline.sim.loop import CONTROL_PERIOD, Simulation
 
 GAINS = (0.25, 64.0)

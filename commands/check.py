@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..models.memory import give_back_large_arrays
 from ._console import console, print_table
 from ._measurement import load_measurement, print_mistakes
 from ._options import AsJson, MeasurementPath, OtherJoint, with_plugins
@@ -25,6 +24,7 @@ def command(measurement: MeasurementPath, joint: OtherJoint = None, as_json: AsJ
     from ..diagnosis.check import check
     from ..diagnosis.data import coverage
     from ..models import causes
+    from ..models.chunks import give_back_large_arrays
     from ..models.command_lines import mending
 
     give_back_large_arrays()

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ..models.memory import give_back_free_pages, give_back_large_arrays
 from ..models.output import check_output, output_folder
 from ._console import console, stages
 from ._measurement import load_measurement
@@ -48,6 +47,7 @@ def command(
 
     Writes `joint.yaml`, the description with the causes in it, `diagnosis.json`, and a report.
     """
+    from ..models.chunks import give_back_free_pages, give_back_large_arrays
     from ..models.files import write_json, write_text
 
     give_back_large_arrays()

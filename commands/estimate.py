@@ -7,7 +7,6 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError, InputWarning
-from ..models.memory import give_back_free_pages, give_back_large_arrays
 from ..models.output import check_output, made_from, output_folder
 from ._console import console
 from ._measurement import load_measurement
@@ -58,6 +57,7 @@ def command(
     from ..estimator import registry
     from ..estimator.offline import beyond_range, estimate_recording, lacking, write_estimates
     from ..estimator.scoring import no_estimates
+    from ..models.chunks import give_back_free_pages, give_back_large_arrays
     from ..models.files import plain, write_json
 
     give_back_large_arrays()

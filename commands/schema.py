@@ -56,9 +56,8 @@ def command(
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """Return the JSON Schema of a kind of file, of `KINDS`."""
-    from ..models.schema import json_schema
-
+    """Return the JSON Schema (2020-12) of a kind of file, of `KINDS`."""
     module, name, title = KINDS[kind]
     package = __name__.partition(".")[0]
-    return json_schema(getattr(importlib.import_module(f"{package}.{module}"), name)) | {"title": title}
+    model = getattr(importlib.import_module(f"{package}.{module}"), name)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema(), "title": title}

@@ -26,12 +26,12 @@ from scipy.optimize import lsq_linear
 
 from ..estimator.conditioning import as_logged
 from ..models import laws
+from ..models.calibration import drawn_changes, moved
+from ..models.characteristics import friction, steady
 from ..models.errors import InputError
 from ..models.files import plain
-from ..models.friction_map import friction, steady
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
-from ..models.uncertainty import drawn_changes, moved
 from .data.segments import CURRENT, Segment, decimate, segments
 from .fit.replay import parallel, replay, transmission
 
@@ -138,7 +138,7 @@ class FeedForwardError:
 
 
 def feed_forward_error(measurement: Measurement, joint: Joint) -> FeedForwardError:
-    """How well the friction map of a joint (`models.friction_map`) says the current of a measured motion.
+    """How well the friction map of a joint (`models.characteristics`) says the current of a measured motion.
 
     Raises:
       InputError: a measurement without current, or without motion in held-out blocks.

@@ -9,7 +9,7 @@ A kinematic error of unknown phase is not simulated: it is in the bands alone.
 
 Every simulated channel has a 95 % band for the channel without its sensor's noise: the root sum of squares of
 
-* the description's uncertainty along its independent directions (`models.uncertainty`),
+* the description's uncertainty along its independent directions (`models.calibration`),
 * the model discrepancy of a diagnosis (`Uncertainty.discrepancy`), which grows beyond the range of validity,
 * the effect of noise of the measured motion, from noise replicates, and friction at rest,
 * the measured channel above the passband of the motion.
@@ -28,7 +28,7 @@ from scipy.ndimage import uniform_filter1d
 
 from ..estimator.conditioning import Conditioned, as_logged, condition
 from ..models import dynamics
-from ..models.calibration import in_quadratures
+from ..models.calibration import directions, in_quadratures
 from ..models.dynamics import State
 from ..models.errors import InputError
 from ..models.files import plain
@@ -38,7 +38,6 @@ from ..models.kernels import kernel
 from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
-from ..models.uncertainty import directions
 from .data.mistakes import Mistake, find_mistakes, unclipped
 from .data.segments import CURRENT, LINK, TORQUE, Segment, segments
 from .fit.replay import parallel, readings, transmission

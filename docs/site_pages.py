@@ -107,7 +107,7 @@ def key_reference(title: str, schema: dict[str, Any]) -> str:
 
     Args:
       title: of the page.
-      schema: JSON Schema of the file (`models.schema.json_schema`).
+      schema: JSON Schema of the file (`commands.schema.schema_of`).
     """
     known = schema.get("$defs", {})
     parts = [f"# {title}", *_section(schema, known)]

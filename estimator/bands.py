@@ -2,7 +2,7 @@
 
 A diagnosed joint states its uncertainty (`models.joint_parts.Uncertainty`). The variance of an estimate is the sum of
 
-* its squared changes along independent directions of the uncertainty (`models.uncertainty`), one standard deviation
+* its squared changes along independent directions of the uncertainty (`models.calibration`), one standard deviation
   each. Only the directions with the largest effect on three simple torques (from torsion, from current, the link's own)
   are used: all but `LEFT` of the energy;
 * its change under additional sensor noise;
@@ -26,10 +26,10 @@ from typing import TypeVar
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from ..models.calibration import independent_changes, moved, principal
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
 from ..models.signals import Signals
-from ..models.uncertainty import independent_changes, moved, principal
 from . import registry, smoothed
 from .estimator import KnownJoint
 

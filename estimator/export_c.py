@@ -21,8 +21,7 @@ from numba.core.registry import cpu_target
 from numba.core.typed_passes import type_inference_stage
 from numba.np.numpy_support import from_dtype
 
-from ..models import elementary
-from ..models.dual import value_of
+from ..models import dual
 from ..models.errors import InputError
 from ..models.step import OK, SAMPLE, Step
 from .estimator import CausalEstimator, KnownJoint
@@ -386,10 +385,10 @@ class _Function:
         arguments = [self.of(x) for x in e.args]
         if isinstance(f, Dispatcher):
             return self._called(f, e)
-        if f is value_of:  # of plain numbers
+        if f is dual.value_of:  # of plain numbers
             return arguments[0]
-        if f is elementary.sincos:
-            return self._called(elementary._sincos, e)
+        if f is dual.sincos:
+            return self._called(dual._sincos, e)
         if isinstance(f, type) and issubclass(f, tuple):
             return f"({self.unit.c_type(self.types[target.name])}){{{', '.join(arguments)}}}"
         if f in (range, builtins.range):

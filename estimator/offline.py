@@ -41,7 +41,7 @@ from ..models.kernels import kernel
 from ..models.motion import CUTOFF
 from ..models.recording import Recording
 from ..models.signals import Signals
-from ..models.tables import ROWS, TableWriter
+from ..models.tables import ROWS, table_writer
 from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .conditioning import Conditioned, condition
@@ -341,9 +341,9 @@ def write_estimates(estimates: Estimates, folder: Path) -> Path:
     """Write estimates as `<recording>.parquet`, units in the columns' metadata; return its path."""
     path = folder / f"{estimates.name}.parquet"
     units = {name: "s" if name == "time" else "N·m" for name in estimates.part(slice(0, 0))}
-    with write_into_place(path) as temporary, TableWriter(temporary, units) as table:
+    with write_into_place(path) as temporary, table_writer(temporary, units) as write:
         for part in parts(len(estimates.time), ROWS):
-            table.write(estimates.part(part))
+            write(estimates.part(part))
     return path
 
 

@@ -1,7 +1,10 @@
-"""Characteristics of a joint description: stiffness, hysteresis, friction, resonances, resolution of its encoders.
+"""Characteristics of a joint description: stiffness, hysteresis, friction, resonances, resolution of its encoders; its
+friction as a table with efficiencies, and as a C function for feed-forward.
 
-Each with a standard deviation by the description's tolerances, or by its diagnosis (`uncertainty.directions`), to
-first order.
+Each with a standard deviation by the description's tolerances, or by its diagnosis (`calibration.directions`), to
+first order. A friction map has the sliding friction in steady motion [N·m, motor side]: mesh with Stribeck curve, load
+and direction, viscous parts of mesh and motor. Friction over the link's angle (zero in the mean) and drift (transient)
+are left out.
 """
 
 from __future__ import annotations
@@ -9,12 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from . import friction_map, laws
+from . import laws
+from .calibration import directions
 from .joint import Joint
-from .uncertainty import directions
+from .kernels import kernel
 
 _POINTS = 121
 _SPEEDS = (0.05, 0.2, 0.6)  # of the no-load speed
@@ -70,9 +75,10 @@ def characteristics(joint: Joint) -> Characteristics:
     rated = joint.numbers["rated_torque"].value
     torque = np.linspace(0.0, 2 * rated, _POINTS)
 
-    def deviation(f: Callable[[np.void], np.ndarray]) -> np.ndarray:
+    def known(f: Callable[[np.void], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return a value and its standard deviation."""
         middle = f(p)
-        return np.sqrt(sum(((f(r[0]) - middle) ** 2 for r in moved), np.zeros_like(middle)))
+        return middle, np.sqrt(sum(((f(r[0]) - middle) ** 2 for r in moved), np.zeros_like(middle)))
 
     def torsion(q: np.void) -> np.ndarray:
         return np.array(
@@ -81,34 +87,26 @@ def characteristics(joint: Joint) -> Characteristics:
 
     no_load = float(p["supply_voltage"] / p["Kt"])
     speed = np.r_[0.0, np.geomspace(0.02 * float(p["vs"]), min(no_load, 1000.0), _POINTS - 1)]
-
-    def friction(q: np.void) -> np.ndarray:
-        return np.array([_friction(w, q) for w in speed])
-
-    def width(q: np.void) -> np.ndarray:
-        return np.array(half_width(q, rated))
-
     steps = np.array(_SPEEDS) * no_load / float(p["N"])
 
     def effective(q: np.void, sign: float) -> np.ndarray:
         at, load = (x.ravel() for x in np.meshgrid(sign * steps, torque[1:], indexing="ij"))
-        own = [friction_map.friction(w, T, q["reference_temperature"], q) for w, T in zip(at, load, strict=True)]
-        found = friction_map.efficiency(at, load, np.array(own), float(q["N"])).reshape(len(steps), -1)
+        own = [friction(w, T, q["reference_temperature"], q) for w, T in zip(at, load, strict=True)]
+        found = efficiency(at, load, np.array(own), float(q["N"])).reshape(len(steps), -1)
         return np.pad(found, ((0, 0), (1, 0)))
 
-    wound = torsion(p)
+    wound, wound_deviation = known(torsion)
     slope = np.gradient(wound, torque)
     counts = (joint.sensors.motor_encoder.resolution / float(p["N"]), joint.sensors.link_encoder.resolution)
     rounding = sum(c**2 / 12 for c in counts)
     sensed = (joint.sensors.motor_encoder.noise / float(p["N"])) ** 2 + joint.sensors.link_encoder.noise**2
     noise = math.sqrt(rounding + sensed)
-    loop_torsion, loop_torque = _loop(p, rated)
+    half, half_deviation = known(lambda q: np.array(half_width(q, rated)))
     return Characteristics(
-        torque, wound, deviation(torsion), 1 / slope, loop_torsion, loop_torque,
-        _half_width(loop_torsion, loop_torque), float(deviation(width)), speed, speed / float(p["N"]), friction(p),
-        deviation(friction), tuple(_resonances(joint)), counts, noise, noise / slope, joint.sensors.joint_torque.noise,
-        steps, effective(p, 1.0), deviation(lambda q: effective(q, 1.0)), effective(p, -1.0),
-        deviation(lambda q: effective(q, -1.0)), float(p["N"] * p["Kt"] * p["current_limit"]), no_load / float(p["N"]),
+        torque, wound, wound_deviation, 1 / slope, *_loop(p, rated), float(half), float(half_deviation), speed,
+        speed / float(p["N"]), *known(lambda q: np.array([_unloaded(w, q) for w in speed])), tuple(_resonances(joint)),
+        counts, noise, noise / slope, joint.sensors.joint_torque.noise, steps, *known(lambda q: effective(q, 1.0)),
+        *known(lambda q: effective(q, -1.0)), float(p["N"] * p["Kt"] * p["current_limit"]), no_load / float(p["N"]),
     )  # fmt: skip
 
 
@@ -122,7 +120,7 @@ def drive_gains(joint: Joint) -> tuple[float, float]:
     return 8.0 * scale, 0.08 * scale
 
 
-def _friction(w: float, p: np.void) -> float:
+def _unloaded(w: float, p: np.void) -> float:
     """Return the friction of mesh, rotor and output at a steady motor speed, unloaded, at the output [N·m]."""
     temperature = p["reference_temperature"]
     sliding = laws.stribeck_friction(w, 0.0, 0.0, 0.0, temperature, p)
@@ -178,10 +176,7 @@ def _branch(
 
 def half_width(p: np.void, rated: float) -> float:
     """Return half the width [rad] of a slow loop to the rated torque [N·m] at zero torque, rotor locked."""
-    return _half_width(*_loop(p, rated))
-
-
-def _half_width(torsion: np.ndarray, torque: np.ndarray) -> float:
+    torsion, torque = _loop(p, rated)
     half = len(torque) // 2
     return float(abs(np.interp(0.0, torque[:half][::-1], torsion[:half][::-1])))
 
@@ -216,3 +211,105 @@ def _frequency(p: np.void, held: bool, torque: float) -> float:
     values = np.linalg.eigvalsh(springs / np.outer(root, root))
     moving = values[values > 1e-6 * values[-1]] if not held else values
     return float(math.sqrt(moving[0]) / (2 * math.pi))
+
+
+COLUMNS = {
+    "speed": "rad/s", "load": "N·m", "temperature": "°C", "friction": "N·m", "friction_std": "N·m", "efficiency": "",
+    "back_driving": "",
+}  # fmt: skip
+"""Units of a map's columns: speed and load at the output, friction at the motor."""
+_LEAST_SPEED = 0.005  # of the no-load speed
+_MAP_SPEEDS, _MAP_LOADS = 12, 9
+
+
+@kernel
+def friction(speed: float, load: float, temperature: float, p: Any) -> float:
+    """Return the friction [N·m, motor side] at an output speed [rad/s], a joint torque on the link [N·m], a
+    temperature [°C]."""
+    w = speed * p.N
+    if w == 0.0:
+        return 0.0
+    g = laws.stribeck_friction(w, 0.0, load, 0.0, temperature, p)
+    return (g if w > 0.0 else -g) + laws.viscous_friction(w, temperature, p) + p.bm * w
+
+
+def steady(record: np.ndarray) -> np.ndarray:
+    """Return a record, shape (1,), without friction over angle or time."""
+    record = record.copy()
+    record[0]["friction_amplitude"], record[0]["drift_amplitude"] = 0.0, 0.0
+    return record
+
+
+def friction_map(joint: Joint) -> tuple[dict[str, np.ndarray], float]:
+    """Compute a joint's friction at speeds up to the no-load speed, of either sign, and loads up to twice the rated torque.
+
+    Returns:
+      Columns by the names of `COLUMNS`, shape (n,) each. `efficiency`: of driving if speed and load have one sign, of
+        back-driving (`back_driving` = 1) if they differ; NaN without load, 0 if the gear does not back-drive.
+      RMS standard deviation of the friction over RMS friction.
+    """
+    record = steady(joint.record())
+    p = record[0]
+    top = float(p["supply_voltage"] / (p["Kt"] * p["N"]))
+    positive = np.geomspace(_LEAST_SPEED * top, top, _MAP_SPEEDS)
+    temperatures = (
+        np.linspace(0.0, 60.0, 7) if p["friction_temperature"] != 0 else np.array([p["reference_temperature"]])
+    )
+    loads = np.linspace(0.0, 2.0 * joint.numbers["rated_torque"].value, _MAP_LOADS)
+    speed, load, temperature = (
+        x.ravel() for x in np.meshgrid(np.r_[-positive[::-1], positive], loads, temperatures, indexing="ij")
+    )
+
+    def of(one: np.ndarray) -> np.ndarray:
+        return np.array([friction(*point, one[0]) for point in zip(speed, load, temperature, strict=True)])
+
+    values = of(record)
+    std = np.sqrt(sum((of(steady(moved)) - values) ** 2 for moved in directions(joint)))
+    back = speed * load < 0
+    effective = efficiency(speed, load, values, float(p["N"]))
+    columns = dict(zip(COLUMNS, (speed, load, temperature, values, std, effective, back.astype(float)), strict=True))
+    return columns, float(np.sqrt(np.mean(std**2) / np.mean(values**2)))
+
+
+def efficiency(speed: np.ndarray, load: np.ndarray, friction: np.ndarray, N: float) -> np.ndarray:
+    """Return the efficiency [1] at speeds [rad/s] and loads [N·m] of the output with a friction [N·m] at the motor: of
+    driving where speed and load have one sign, else of back-driving; NaN without load, 0 where the gear does not
+    back-drive. All of shape (n,); N: gear ratio."""
+    torque = load / N
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(speed * load < 0, np.maximum((torque + friction) / torque, 0.0), torque / (torque + friction))
+    return np.where(load == 0, np.nan, found)
+
+
+def c_function(joint: Joint, notes: list[str]) -> str:
+    """Return the friction as a C function `<joint>_friction` with the joint's numbers; `notes`: first comment."""
+    p = steady(joint.record())[0]
+    name = "".join(c if c.isalnum() else "_" for c in joint.name)
+    name = name if name[:1].isalpha() else f"joint_{name}"
+    n = {key: repr(float(p[key])) for key in (
+        "N", "Fc", "Fs", "vs", "bw", "bm", "viscous_exponent", "friction_asymmetry", "friction_load", "back_driven_friction",
+        "friction_temperature", "reference_temperature",
+    )}  # fmt: skip
+    comment = "\n * ".join(note.replace("*/", "* /") for note in notes)
+    return f"""/* {comment}
+ *
+ * speed [rad/s] and load [N m] at the output; load: what the joint gives the link; temperature [deg C].
+ * Returns the friction [N m] at the motor, to be added to what the motor is asked for. Over the torque constant it is a current.
+ * Near zero speed its sign changes evenly over a tenth of the Stribeck velocity.
+ */
+#include <math.h>
+
+double {name}_friction(double speed, double load, double temperature)
+{{
+    const double w = speed * {n["N"]}, x = w / {n["vs"]}, s = fmax(-1.0, fmin(1.0, 10.0 * x));
+    const double bend = w / ({laws._BENDING!r} * {n["vs"]});
+    double g = {n["Fc"]} + ({n["Fs"]} - {n["Fc"]}) * exp(-x * x);
+    double viscous = {n["bw"]} * w * pow(1.0 + bend * bend, 0.5 * ({n["viscous_exponent"]} - 1.0));
+    const double more = {n["friction_load"]} * fabs(load) / {n["N"]};
+    const double warm = fmax(1.0 + {n["friction_temperature"]} * (temperature - {n["reference_temperature"]}), 0.1);
+    g *= 1.0 + (w > 0.0 ? {n["friction_asymmetry"]} : -({n["friction_asymmetry"]}));
+    g += load * w >= 0.0 ? more : {n["back_driven_friction"]} * more;
+    g = fmax(g * warm, {laws._SMALLEST_FRICTION!r});
+    return s * g + viscous * warm + {n["bm"]} * w;
+}}
+"""

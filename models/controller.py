@@ -1,14 +1,18 @@
-"""The controller of a joint's drive: of position, velocity or torque."""
+"""The controller of a joint's drive: of position, velocity or torque, at control rate, on the measured motor angle.
+
+The current controller, winding and supply are MuJoCo's `dcmotor` (R, L, back-EMF, voltage and current limits).
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from .files import Strict
+from .kernels import kernel
 from .parameters import floats
 
 CONTROLLER = floats("kp", "kd", "ki", "filter", "limit", "gear", "torque_gain", "gravity", "delay", "mode", "feed")
@@ -80,3 +84,39 @@ class Controller(Strict):
                 c[name] *= 1.0 + self.torque_loop
             c["torque_gain"] = -self.torque_loop / unit
         return record
+
+
+_VELOCITY, _TORQUE = (list(MODES).index(mode) for mode in ("velocity", "torque"))
+
+
+@kernel
+def control(command: float, rate: float, measured: float, torque: float, state: np.ndarray, dt: float, c: Any) -> float:
+    """Return the current command [A].
+
+    Args:
+      command, rate: output side, in the unit of the controller's mode (`MODES`), and its derivative.
+      measured: motor encoder [rad].
+      torque: estimated joint torque [N·m] for the feedback.
+      state: shape (3,), overwritten: last motor angle [rad], its filtered velocity [rad/s], integral [rad·s] (velocity
+        control: [rad]).
+      dt: control period [s]; c: `CONTROLLER` record.
+    """
+    state[1] += c.filter * ((measured - state[0]) / dt - state[1])
+    state[0] = measured
+    if c.mode == _TORQUE:
+        integral, wanted = 0.0, c.feed * command
+    elif c.mode == _VELOCITY:
+        error = c.gear * command - state[1]
+        integral = state[2] + error * dt
+        wanted = c.kp * integral + c.kd * error
+    else:
+        error = c.gear * command - measured
+        integral = state[2] + error * dt
+        wanted = c.kp * error + c.kd * (c.gear * rate - state[1]) + c.ki * integral
+    wanted += c.torque_gain * torque
+    if c.gravity != 0.0:
+        wanted += c.gravity * math.sin(measured / c.gear)
+    if abs(wanted) <= c.limit:
+        state[2] = integral
+        return wanted
+    return c.limit if wanted > 0.0 else -c.limit

@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import math
 import re
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from .arm import link_mass
 from .catalogue import Gear, gear
 from .characteristics import drive_gains
 from .controller import Controller
 from .errors import InputError, nearest
 from .files import check_name, write_text, yaml_text
 from .gear_sheet import GearFit, GearSheet, fit, hysteresis
-from .joint import Joint, as_joint
-from .joint_mjcf import mjcf_text
+from .joint import Joint, as_joint, shipped
 from .joint_parts import OPTIONAL_SYMBOLS, SYMBOLS, value_fault
+from .mjcf import STATED
 from .parameters import GRAVITY
 from .units import plain
 
@@ -159,39 +161,38 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
         raise InputError(f"datasheet: expected {', '.join(missing)}, got none")
     name = check_name(sheet.name or catalogued.name.lower(), "name")
     path = path or Path(f"{name.replace('-', '_')}.yaml")
-    fitted = GearFit({}, [])
+    fitted, scatter, source = GearFit({}, []), 0.0, ""
     if sheet.gear is not None:
         before = _Rules(catalogued, given)
         fitted = fit(sheet.gear, {symbol: before[symbol] for symbol in ("Fs", "Fc", "vs", "bw")}, given)
         given |= {symbol: float(f"{value:.4g}") for symbol, (value, _) in fitted.numbers.items()}
+        scatter, source = sheet.gear.scatter, f"fitted to {sheet.gear.source}"
     rules = _Rules(catalogued, given)
     numbers: dict[str, dict[str, Any]] = {}
     for symbol, (unit, _) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
-        if symbol in OPTIONAL_SYMBOLS and symbol not in given:
-            continue
-        if sheet.gear is not None and symbol in fitted.numbers:
+        if symbol in fitted.numbers:
             tolerance = sheet.tolerances.get(symbol, float(f"{fitted.numbers[symbol][1]:.2g}"))
-            numbers[symbol] = _row(given[symbol], unit, tolerance, f"fitted to {sheet.gear.source}")
+            numbers[symbol] = _row(given[symbol], unit, tolerance, source)
             if symbol == "bw":
                 numbers[symbol]["shared"] = "friction"
         elif symbol in given:
             numbers[symbol] = _row(given[symbol], unit, *_given(symbol, sheet, catalogued))
-        else:
+        elif symbol in SYMBOLS:
             value, tolerance, rule = rules.of(symbol)
             numbers[symbol] = _row(value, unit, sheet.tolerances.get(symbol, tolerance), _RULE + rule)
         if symbol in _SHARED:
             numbers[symbol]["shared"] = _SHARED[symbol]
     values = {symbol: float(row["value"]) for symbol, row in numbers.items()}
-    exact = catalogued.exact
-    scatter = sheet.gear.scatter if sheet.gear is not None else 0.0
     data: dict[str, Any] = {
         "format": 1,
         "name": name,
-        "description": sheet.description or _description(sheet, catalogued),
+        "description": sheet.description
+        or f"Strain wave gear {catalogued.name}{f' with {sheet.motor}' if sheet.motor else ''}. Numbers whose source is a rule "
+        "are typical of the size and not from a datasheet; the others are as their sources say.",
         "model": f"{path.stem}.xml",
         "mounting": "link",
         "shared_tolerances": {
-            "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if exact else 0.2,
+            "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if catalogued.exact else 0.2,
             "friction": scatter if "Fs" in fitted.numbers else _friction_tolerance(sheet),
         },
         "numbers": numbers,
@@ -258,6 +259,52 @@ def _text(joint: Joint) -> str:
     for key, comment in _SECTIONS.items():
         text = re.sub(rf"^{key}:", f"# {comment}\n{key}:", text, flags=re.MULTILINE)
     return text
+
+
+_MJCF_COMMENT = """ {name}: one robot joint with a harmonic drive; rotor, wave generator, flange and link on one axis.
+
+       Opens in any MuJoCo viewer. Alone, the two torsion tendons are linear springs (K1, Kw0). The testbed sets every
+       number from the joint's YAML and replaces the linear springs by what MJCF cannot say: the stiffening flexspline
+       Eq. (7), the wave generator's logarithmic law Eqs. (3)-(5), and the kinematic error. Angle zero: the link hangs
+       straight down. SI units; rotor and wave generator turn on the motor side, {N:g} times the output. """
+
+
+def mjcf_text(joint: Joint) -> str:
+    """Return the MJCF of a description with its default mounting, as text.
+
+    Inertias, springs and dampings (K1, df, Kw0, dw, bm, bl), motor and mesh friction are the description's; shapes
+    and colours the test joint's.
+    """
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    root = ElementTree.fromstring(shipped("test_joint.xml").read_text(encoding="utf-8"), parser=parser)
+    p = joint.bare_record()[0]
+    n = {symbol: f"{number.value:.8g}" for symbol, number in joint.numbers.items()}
+    root.set("model", joint.name)
+    comment = next(child for child in root if child.tag is ElementTree.Comment)
+    comment.text = _MJCF_COMMENT.format(name=joint.name, N=p["N"])
+
+    def put(path: str, **attributes: str) -> None:
+        element = root.find(path)
+        assert element is not None, path
+        for name, value in attributes.items():
+            element.set(name, value)
+
+    for path, attribute, symbols in STATED:
+        put(path, **{attribute: " ".join(n.get(symbol, symbol) for symbol in symbols)})
+    put(".//body[@name='link']/inertial", **_inertial(float(p["Jl"]), float(p["Mg"])))
+    put(".//tendon/fixed[@name='flexspline']/joint[@joint='wave_generator']", coef=f"{1 / p['N']:.12g}")
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _inertial(inertia: float, moment: float) -> dict[str, str]:
+    """Return mass, place and shape of a link by its inertia about the axis [kg·m²] and gravity moment [N·m]."""
+    mass, lever = link_mass(inertia, moment)
+    own = inertia - mass * lever**2
+    return {
+        "mass": f"{mass:.8g}",
+        "pos": f"0 0 {-lever:.8g}",
+        "diaginertia": f"{own:.8g} {own:.8g} {min(own, 0.01):.8g}",
+    }
 
 
 class _Rules:
@@ -376,14 +423,6 @@ def _row(value: float, unit: str, tolerance: float, source: str) -> dict[str, An
     if tolerance:
         row["tolerance"] = tolerance
     return row | {"source": source}
-
-
-def _description(sheet: Datasheet, catalogued: Gear) -> str:
-    motor = f" with {sheet.motor}" if sheet.motor else ""
-    return (
-        f"Strain wave gear {catalogued.name}{motor}. Numbers whose source is a rule are typical of the size and "
-        "not from a datasheet; the others are as their sources say."
-    )
 
 
 def _filled(data: Mapping[str, Any], sheet: Datasheet) -> list[Filled]:

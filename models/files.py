@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import dataclasses
+import inspect
 import json
 import math
 import re
+import textwrap
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,7 +22,38 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from .errors import LARGEST_TEXT, InputError, first_line, is_there, nearest, read_text, unknown_key
 from .output import write_into_place
-from .schema import documented
+
+
+def documented(schema: dict[str, Any], model: type) -> None:
+    """Complete the JSON Schema of a model alone in place (`json_schema_extra` of pydantic): descriptions from the
+    docstrings below fields, and a short form of the model (`model.short`, a JSON type)."""
+    texts = {name: text for one in reversed(model.__mro__) for name, text in _docstrings(one).items()}
+    for name, field in schema.get("properties", {}).items():
+        field.pop("title", None)
+        if name in texts:
+            field.setdefault("description", texts[name])
+    schema["description"] = inspect.cleandoc(model.__doc__ or "")
+    short = getattr(model, "short", None)
+    if short:
+        whole = dict(schema)
+        schema.clear()
+        schema |= {"description": whole["description"], "anyOf": [{"type": short}, whole]}
+
+
+@cache
+def _docstrings(model: type) -> dict[str, str]:
+    if not model.__module__.startswith(__name__.partition(".")[0]):
+        return {}
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    found, field = {}, ""
+    for node in getattr(tree, "body", ()):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            field = node.target.id
+            continue
+        if field and isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            found[field] = inspect.cleandoc(str(node.value.value))
+        field = ""
+    return found
 
 
 def _strict(schema: Any, model: Any) -> Any:
@@ -90,12 +125,10 @@ _Loader.yaml_implicit_resolvers = {
     for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _Loader.add_implicit_resolver(_BOOL, re.compile("^(?:true|false)$"), list("tf"))
-_Loader.add_implicit_resolver(_INT, re.compile(r"^[-+]?(?:0|[1-9][0-9_]*)$"), list("-+0123456789"))
 _Loader.add_implicit_resolver(
     _FLOAT,
     re.compile(
-        r"^[-+]?(?:(?:0|[1-9][0-9_]*)\.[0-9_]*(?:[eE][-+]?[0-9]+)?|\.[0-9]+(?:[eE][-+]?[0-9]+)?"
-        r"|(?:0|[1-9][0-9_]*)[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))$|^\.(?:nan|NaN|NAN)$"
+        r"^[-+]?(?:(?:(?:0|[1-9][0-9_]*)(?:\.[0-9_]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|\.(?:inf|Inf|INF))$|^\.(?:nan|NaN|NAN)$"
     ),
     list("-+0123456789."),
 )
@@ -106,7 +139,7 @@ def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
     text = node.value.replace("_", "")
     if text.lstrip("+-").lower() in (".inf", ".nan"):
         return float(text.replace(".", ""))
-    value = int(text) if node.tag == _INT and len(text) < _DIGITS else float(text)
+    value = int(text) if text.lstrip("+-").isdigit() and len(text) < _DIGITS else float(text)
     if (value and abs(value) < _SMALLEST) or len(text) > _DIGITS:
         came = f"{text[:20]}…" if len(text) > _DIGITS else text
         problem = f"expected 0 or a number from {_SMALLEST:g} on with at most {_DIGITS} digits, got {came}"
@@ -115,13 +148,12 @@ def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
 
 
 _DIGITS, _SMALLEST = 100, 1e-100
-_Loader.add_constructor(_INT, _number)
 _Loader.add_constructor(_FLOAT, _number)
 
 
-def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
-    """Return the file of a shipped name or a path. Raises `InputError`: neither; one line."""
-    path = known.get(str(source), Path(source))
+def find(source: str | Path, known: dict[str, Path], what: str, folder: Path = Path()) -> Path:
+    """Return the file of a shipped name, or of a path in a folder. Raises `InputError`: neither; one line."""
+    path = known.get(str(source), folder / source)
     if not is_there(path):
         hint = nearest(str(source), known)
         raise InputError(f"{what} {str(source)!r}: expected a path or one of {sorted(known)}, found neither{hint}")

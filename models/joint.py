@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,19 +15,20 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from . import causes, units
 from .controller import Controller
-from .errors import InputError, InputWarning, is_there, nearest
-from .faults import contradictions, unlike_mjcf
-from .files import Strict, load, parse, place, write_into_place, write_text, yaml_text
+from .errors import InputError, InputWarning, nearest
+from .files import Strict, find, load, parse, place, write_into_place, write_text, yaml_text
 from .joint_parts import (
     UNREAD,
     Discrepancy,
     Effect,
+    Fault,
     Mounting,
     Number,
     Order,
     Sensors,
     Uncertainty,
     ValidRange,
+    contradictions,
     number_faults,
     shared_fault,
 )  # fmt: skip
@@ -144,10 +146,7 @@ class Joint(Strict):
         yield from self._unread()
         yield from self._unknown()
         if self.mounting not in self.mountings:
-            yield (
-                f"mounting: expected one of {sorted(self.mountings)}, got {self.mounting!r}"
-                f"{nearest(self.mounting, self.mountings)}"
-            )
+            yield self._no_mounting(self.mounting)
         elif plain:
             try:
                 record = self.record()  # raises if there are too many orders
@@ -237,20 +236,16 @@ class Joint(Strict):
             )
         return beside
 
-    def stated_by_mjcf(self) -> dict[str, float]:
-        """Return numbers of the description that its own MJCF also has, by symbol; none of a shipped one, which is
-        for looks."""
-        return {} if self.mjcf.parent == shipped() else stated_numbers(self.mjcf)
-
     def mount(self, name: str | None = None) -> Mounting:
         """Return a mounting by name; `InputError` names the known ones."""
         wanted = self.mounting if name is None else name
         if wanted not in self.mountings:
-            raise InputError(
-                f"joint {self.name}: mounting: expected one of {sorted(self.mountings)}, got {wanted!r}"
-                f"{nearest(wanted, self.mountings)}"
-            )
+            raise InputError(f"joint {self.name}: {self._no_mounting(wanted)}")
         return self.mountings[wanted]
+
+    def _no_mounting(self, name: str) -> str:
+        known = sorted(self.mountings)
+        return f"mounting: expected one of {known}, got {name!r}{nearest(name, self.mountings)}"
 
     def record(self, mounting: Mounting | None = None) -> np.ndarray:
         """Return the parameter record of the joint in a mounting, shape (1,)."""
@@ -334,10 +329,7 @@ def shipped(name: str = "") -> Path:
 
 def known_joints() -> dict[str, Path]:
     """Return the paths of the shipped joints by name (with dashes)."""
-    found: dict[str, Path] = {}
-    for path in sorted(shipped().glob("*.yaml")):
-        found[path.stem.replace("_", "-")] = path
-    return found
+    return {path.stem.replace("_", "-"): path for path in sorted(shipped().glob("*.yaml"))}
 
 
 def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
@@ -358,14 +350,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     """
     known = known_joints()
     name = str(source).replace("_", "-")
-    if name in known:
-        path = known[name]
-    else:
-        path = Path(source) if beside is None else beside / source
-        if not is_there(path):
-            raise InputError(
-                f"joint {str(source)!r}: expected a path or one of {sorted(known)}, found neither{nearest(name, known)}"
-            )
+    path = find(name if name in known else source, known, "joint", beside or Path())
     joint = load(path, Joint, "a joint description")
     joint._path = path.resolve()
     if not joint.mjcf.is_file():
@@ -378,6 +363,25 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
             at = place(path, problem.field)
             warnings.warn(f"{at}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
     return joint
+
+
+def unlike_mjcf(joint: Joint) -> Iterator[Fault]:
+    """Yield a fault if numbers of a joint's MJCF differ from its description by more than any tolerance. The
+    description counts."""
+    other = []
+    # A shipped MJCF is for looks.
+    stated = {} if joint.mjcf.parent == shipped() else stated_numbers(joint.mjcf)
+    for symbol, got in stated.items():
+        if symbol not in joint.numbers:  # missing: reported elsewhere
+            continue
+        n = joint.numbers[symbol]
+        shared = joint.shared_tolerances.get(n.shared or "", 0.0)
+        left_open = math.hypot(n.tolerance * n.value, n.deviation, shared * n.value)
+        near = max(4 * left_open, 1e-3 * abs(n.value))
+        if min(abs(got - known) for known in (n.value, n.nominal) if known is not None) > near:
+            other.append(f"{symbol} = {got:.6g} for {n.value:.6g} {n.unit}")
+    if other:
+        yield Fault("warning", "model", f"{', '.join(other)} in the MJCF; the description's numbers count")
 
 
 def as_joint(data: dict[str, Any], path: Path) -> Joint:

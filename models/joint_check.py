@@ -17,10 +17,9 @@ from pydantic import BaseModel, ValidationError
 
 from . import causes
 from .errors import InputError
-from .faults import Fault, contradictions, unlike_mjcf
 from .files import descriptions, kind_of, read_yaml
-from .joint import Joint, known_joints, load_joint
-from .joint_parts import SYMBOLS, Effect, Mounting, Number, number_faults
+from .joint import Joint, known_joints, load_joint, unlike_mjcf
+from .joint_parts import SYMBOLS, Fault, Mounting, Number, contradictions, number_faults
 from .mjcf import check_mjcf
 from .parameters import GRAVITY
 
@@ -64,7 +63,7 @@ def check(source: str | Path) -> Checked:
     if joint is not None:
         joint._path = path.resolve()
         found += _mjcf(joint)
-    numbers = _numbers(data) if joint is None else joint.numbers
+    numbers = _each(data.get("numbers"), Number) if joint is None else joint.numbers
     mountings = _each(data.get("mountings"), Mounting) if joint is None else joint.mountings
     wrong = {p.field.split(".")[1] for p in found if p.field.startswith("numbers.")}  # these are wrong already
     found += _implausible({symbol: n for symbol, n in numbers.items() if symbol not in wrong}, mountings)
@@ -84,9 +83,9 @@ def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
     known = shared if isinstance(shared, dict) else {}
     whole = data.get("numbers")
     if isinstance(whole, dict):
-        named = {line.split(":")[0] for line in lines}
-        unread = {str(symbol) for symbol in whole} - set(_numbers(data))
-        for fault in number_faults(_numbers(data), known):
+        named, numbers = {line.split(":")[0] for line in lines}, _each(whole, Number)
+        unread = {str(symbol) for symbol in whole} - set(numbers)
+        for fault in number_faults(numbers, known):
             field = fault.split(":")[0]
             if field not in named and not (fault.endswith(": missing") and field.removeprefix("numbers.") in unread):
                 lines.append(fault)
@@ -94,10 +93,6 @@ def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
     if isinstance(mountings, dict) and isinstance(chosen, str) and chosen not in mountings:
         lines.append(f"mounting: expected one of {sorted(map(str, mountings))}, got {chosen!r}")
     return None, lines
-
-
-def _numbers(data: Mapping[str, Any]) -> dict[str, Number]:
-    return _each(data.get("numbers"), Number)
 
 
 def _each(given: Any, model: type[BaseModel]) -> dict[str, Any]:
@@ -191,12 +186,8 @@ def _odd(joint: Joint) -> Iterator[Fault]:
         expected = "encoders of which a count is at most 20 % of the rated torque in torsion (K1 · count)"
         yield _odd_value("sensors", expected, share)
     for i, effect in enumerate(joint.effects):
-        yield from _effect(i, effect)
-
-
-def _effect(i: int, effect: Effect) -> Iterator[Fault]:
-    for q in causes.get(effect.name).parameters:
-        largest = max((abs(high) for _, high in q.ordinary), default=math.inf)
-        if q.magnitude and q.relative is None and abs(effect.values[q.name]) > 20 * largest:
-            text = f"at most twenty times what is ordinary, {largest:g} {q.unit}"
-            yield _odd_value(f"effects.{i}.parameters.{q.name}", text, effect.values[q.name])
+        for q in causes.get(effect.name).parameters:
+            largest = max((abs(high) for _, high in q.ordinary), default=math.inf)
+            if q.magnitude and q.relative is None and abs(effect.values[q.name]) > 20 * largest:
+                text = f"at most twenty times what is ordinary, {largest:g} {q.unit}"
+                yield _odd_value(f"effects.{i}.parameters.{q.name}", text, effect.values[q.name])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -451,3 +452,34 @@ def value_fault(symbol: str, value: float) -> str | None:
         possible = f"{low:g} to {high:g} {unit}".removesuffix(" 1")
         return f"numbers.{symbol}.value: expected {possible}, beyond which no joint is, got {value:g}"
     return None
+
+
+Severity = Literal["error", "warning"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault: severity, field in the file, expected and got."""
+
+    severity: Severity
+    field: str
+    message: str
+
+
+_UNITS = {"K2": "N·m/rad", "K3": "N·m/rad", "Fs": "N·m"}
+
+
+def contradictions(value: Mapping[str, float], fitted: Collection[str]) -> Iterator[Fault]:
+    """Yield numbers of a joint that contradict each other: a gear that softens with torque, Coulomb above static
+    friction. `fitted`: symbols of numbers that may cross, as each follows the data."""
+
+    def ordered(small: str, large: str, why: str, severity: Severity = "error") -> Iterator[Fault]:
+        if small in value and large in value and value[small] > value[large]:
+            worst: Severity = "warning" if {small, large} & set(fitted) else severity
+            text = f"expected {large} ≥ {small} = {value[small]:g} {_UNITS[large]}, {why}, got {value[large]:g}"
+            yield Fault(worst, f"numbers.{large}", text)
+
+    yield from ordered("K1", "K3", "a strain wave gear stiffens with torque")
+    yield from ordered("K1", "K2", "a strain wave gear stiffens with torque", "warning")
+    yield from ordered("K2", "K3", "a strain wave gear stiffens with torque", "warning")
+    yield from ordered("Fc", "Fs", "static friction is no less than Coulomb friction")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from .elementary import decayed, sincos
+from .dual import decayed, sincos
 from .kernels import kernel
 from .parameters import N_DISCREPANCIES, N_ORDERS
 

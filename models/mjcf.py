@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import mujoco
 
-from .errors import InputError, read_text, refusing
+from .errors import LARGEST_TEXT, InputError, read_text, refusing
 
 STATED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (".//joint[@name='rotor']", "damping", ("bm",)),
@@ -29,7 +29,6 @@ STATED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (".//dcmotor[@name='mesh_friction']", "damping", ("bw",)),
 )
 """Numbers of a description in a joint's MJCF: element, attribute, symbols in the order of its values."""
-_LARGEST = 10_000_000  # most characters of an MJCF file; meshes and textures are separate files
 _DEEPEST = 10  # of includes within includes
 
 
@@ -55,7 +54,7 @@ def inherited(path: Path, hinge: str) -> tuple[bool, bool]:
 def stated_numbers(path: Path) -> dict[str, float]:
     """Return the numbers of a joint's description in its MJCF file itself, by symbol."""
     try:
-        root = ElementTree.fromstring(read_text(path, "an MJCF file", _LARGEST))
+        root = ElementTree.fromstring(read_text(path, "an MJCF file"))
     except (InputError, ElementTree.ParseError):  # reported where the file is used
         return {}
     found: dict[str, float] = {}
@@ -97,8 +96,8 @@ def _roots(path: Path, folder: Path, depth: int) -> Iterator[ElementTree.Element
     """Yield the root elements of an MJCF and of its includes, checked."""
     if not path.is_file():
         raise InputError(f"{path}: expected an MJCF file, no such file")
-    if path.stat().st_size > _LARGEST:
-        raise InputError(f"{path}: expected an MJCF file of at most {_LARGEST} bytes, got {path.stat().st_size}")
+    if path.stat().st_size > LARGEST_TEXT:
+        raise InputError(f"{path}: expected an MJCF file of at most {LARGEST_TEXT} bytes, got {path.stat().st_size}")
     root = xml_root(path, read_text(path, "an MJCF file"), "an MJCF")
     for element in root.iter():
         if element.tag in ("plugin", "extension"):

@@ -21,6 +21,7 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from .errors import InputError, first_line
 
@@ -45,17 +46,9 @@ def made_from(maker: str, *sources: str | Path) -> str:
     return f"{maker} {hashlib.sha256(paths.encode()).hexdigest()[:12]}"
 
 
-def check_output(
-    path: Path,
-    maker: str,
-    *,
-    inputs: Iterable[str | Path] = (),
-    writes: Iterable[str] = (),
-    whole: bool = False,
-    within: Path | None = None,
-) -> None:
+def check_output(path: Path, maker: str, **options: Any) -> None:
     """Refuse a folder that cannot be written to, before any work. Arguments: see `output_folder`."""
-    with output_folder(path, maker, inputs=inputs, writes=writes, whole=whole, within=within, commit=False):
+    with output_folder(path, maker, **options, commit=False):
         pass
 
 

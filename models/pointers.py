@@ -27,8 +27,6 @@ def _pointer(kind: Any) -> Any:
 
 floats_at = _pointer(types.float64)  # pointer to float64 at an integer address
 ints_at = _pointer(types.int32)  # pointer to int32 at an integer address
-words_at = _pointer(types.int64)  # pointer to int64 (sizes, addresses) at an integer address
-bytes_at = _pointer(types.uint8)  # pointer to bytes at an integer address
 record_at = _pointer(from_dtype(PARAMETERS))  # pointer to a parameter record; `carray(…, 1)[0]` is the record
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import model_validator
 
 from . import units
-from .arm import ArmRecord, ArmSpec, Load, joint_of
+from .arm import ArmRecord, ArmSpec, CarriedMass, Load, joint_of, load_of
 from .arm import column as arm_column
 from .chunks import BLOCK, large
 from .errors import InputError, InputWarning, nearest
@@ -30,7 +30,6 @@ from .joint_parts import Mounting
 from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel
-from .payload import CarriedMass, load_of
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals, at_samples
 from .tables import reading_parquet, write_table
 from .text_tables import TextTable
@@ -356,15 +355,13 @@ def read_recording(path: str | Path) -> Recording:
         fixed=sidecar.fixed,
         payloads=sidecar.payloads,
     )
-    if sidecar.arm is None:
-        if angles:
-            raise InputError(
-                f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link"
-            )
-        if not recording.payloads:
-            return recording
-        return with_load(recording, load_joint(recording.joint, sidecar_path.parent).numbers["N"].value)
-    return in_arm(recording, sidecar.arm, angles, sidecar_path, sidecar_path.parent, sidecar_path.parent)
+    if sidecar.arm is not None:
+        return in_arm(recording, sidecar.arm, angles, sidecar_path, sidecar_path.parent, sidecar_path.parent)
+    if angles:
+        raise InputError(
+            f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link"
+        )
+    return with_load(recording, home=sidecar_path.parent)
 
 
 def in_arm(
@@ -384,34 +381,34 @@ def in_arm(
     try:
         arm = Arm(spec, folder)
         positions = {str(joint_of(name)): values for name, values in angles.items()}
-        position = _own_angle(recording, lambda: load_joint(recording.joint, home).numbers["N"].value)
+        position = _own_angle(recording, None, home)
         link, load = arm.of(recording.time, position, positions, recording.segments, recording.stamps)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return replace(recording, link=link, load=load, arm=ArmRecord(spec, arm.mjcf(), positions))
 
 
-def with_load(recording: Recording, gear_ratio: float) -> Recording:
+def with_load(recording: Recording, gear_ratio: float | None = None, home: Path | None = None) -> Recording:
     """Return a recording with mounting and load from its arm, or with the load of its payloads, at its angle; unchanged
-    without both. Raises `InputError`: as of `in_arm`."""
+    without both. `gear_ratio`: by default that of its joint; `home`: as of `in_arm`. Raises `InputError`: as of `in_arm`."""
     from .arm_dynamics import Arm
 
     if recording.arm is None and not recording.payloads:
         return recording
-    position = _own_angle(recording, lambda: gear_ratio)
+    position = _own_angle(recording, gear_ratio, home)
     if recording.arm is None:
         payloads, link = recording.payloads, recording.link
         return replace(recording, load=load_of(payloads, link, recording.stamps, position, recording.segments))
-    arm = Arm.of_text(recording.arm.spec, recording.arm.mjcf)
+    arm = Arm(recording.arm.spec, recording.arm.mjcf)
     link, load = arm.of(recording.time, position, recording.arm.positions, recording.segments, recording.stamps)
     return replace(recording, link=link, load=load)
 
 
-def _own_angle(recording: Recording, gear_ratio: Callable[[], float]) -> np.ndarray:
+def _own_angle(recording: Recording, gear_ratio: float | None, home: Path | None) -> np.ndarray:
     """Return the joint's angle in its arm, shape (n,) [rad]: of the link's encoder, else the motor's over the ratio."""
     if "link_position" in recording:
         return recording["link_position"]
-    return recording["motor_position"] / gear_ratio()
+    return recording["motor_position"] / (gear_ratio or load_joint(recording.joint, home).numbers["N"].value)
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,46 +16,36 @@ ROWS = 1 << 20  # rows of a Parquet group
 Notes = Mapping[str, Mapping[str, str]]
 
 
-class TableWriter:
-    """A table that is written in parts, each a group of rows; a context."""
+@contextmanager
+def table_writer(
+    path: Path, units: Mapping[str, str], notes: Notes | None = None, metadata: Mapping[str, str] | None = None
+) -> Iterator[Callable[[Mapping[str, np.ndarray]], None]]:
+    """Yield a function that writes the next rows of a new table, a group of rows a call: columns by name, shape (n,) each.
+    `units`: of every column, in order; `notes`: other metadata of a column; `metadata`: of the table."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
-    def __init__(
-        self,
-        path: Path,
-        units: Mapping[str, str],
-        notes: Notes | None = None,
-        metadata: Mapping[str, str] | None = None,
-    ):
-        """Start the file. `units`: of every column, in order; `notes`: other metadata of a column; `metadata`: of the
-        table."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        fields = [
-            pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit, **(notes or {}).get(name, {})})
-            for name, unit in units.items()
-        ]
-        self._path, self._schema = path, pa.schema(fields, dict(metadata or {}))
+    fields = [
+        pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit, **(notes or {}).get(name, {})})
+        for name, unit in units.items()
+    ]
+    schema = pa.schema(fields, dict(metadata or {}))
+    with naming(path):
         # Measured numbers rarely repeat: a dictionary costs time and saves nothing.
-        with naming(path):
-            self._writer = pq.ParquetWriter(path, self._schema, compression="zstd", use_dictionary=False)
+        writer = pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False)
 
-    def write(self, columns: Mapping[str, np.ndarray]) -> None:
-        """Write the next rows; columns by name, shape (n,) each."""
-        import pyarrow as pa
-
+    def write(columns: Mapping[str, np.ndarray]) -> None:
         # `pyarrow.array` would import pandas.
-        numbers = [np.ascontiguousarray(columns[name], dtype=np.float64) for name in self._schema.names]
+        numbers = [np.ascontiguousarray(columns[name], dtype=np.float64) for name in schema.names]
         arrays = [pa.Array.from_buffers(pa.float64(), len(x), [None, pa.py_buffer(x)]) for x in numbers]
-        with naming(self._path):
-            self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+        with naming(path):
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
 
-    def __enter__(self) -> TableWriter:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        with naming(self._path):
-            self._writer.close()
+    try:
+        yield write
+    finally:
+        with naming(path):
+            writer.close()
 
 
 def write_table(
@@ -65,9 +55,9 @@ def write_table(
     notes: Notes | None = None,
     metadata: Mapping[str, str] | None = None,
 ) -> None:
-    """Write columns, shape (n,) each, as Parquet; units, notes and metadata as for `TableWriter`."""
-    with TableWriter(path, {name: units[name] for name in columns}, notes, metadata) as table:
-        table.write(columns)
+    """Write columns, shape (n,) each, as Parquet; units, notes and metadata as for `table_writer`."""
+    with table_writer(path, {name: units[name] for name in columns}, notes, metadata) as write:
+        write(columns)
 
 
 @contextmanager

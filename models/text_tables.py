@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date, time, timedelta
-from functools import cached_property
 from io import StringIO
 from itertools import islice
 from pathlib import Path
@@ -291,22 +290,16 @@ class TextTable:
         numeric = (m for row in rows[self.head.begin :] for c in row if (m := _NUMBER.fullmatch(c)))
         marks = {mark for m in numeric for mark in m.groups() if mark}
         self.decimal = form.decimal or ("," if marks == {","} else ".")
-        self._lists = {
-            name: max((len(elements(row[j])) for row in rows[self.head.begin :] if j < len(row)), default=0)
-            for j, name in enumerate(self.head.names)
-        }
+        columns: list[tuple[str, int, int | None]] = []  # name, cell, and element of the list in it
+        for j, name in enumerate(self.head.names):
+            count = max((len(elements(row[j])) for row in rows[self.head.begin :] if j < len(row)), default=0)
+            columns += [(f"{name}/{k}", j, k) for k in range(count)] or [(name, j, None)]
+        self.names = [name for name, _, _ in columns]
+        """Names of the columns; elements of lists in cells as `name/0`."""
+        self._index = {name: (j, k) for name, j, k in reversed(columns)}
         self._top = self.head.begin
         self._begin = sum(map(len, islice(StringIO(self._text), self._top)))
         self.torn = self._cut_last(rows)
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the columns; elements of lists in cells as `name/0`."""
-        return [
-            part
-            for name in self.head.names
-            for part in ([f"{name}/{k}" for k in range(self._lists[name])] if self._lists[name] else [name])
-        ]
 
     def _split(self, line: str) -> list[str]:
         line = line.strip() if self.separator == " " else line
@@ -343,15 +336,6 @@ class TextTable:
             line = line.strip("\n\0") if self.separator == "\t" else line.strip(" \t\n\0")
             if line and not line.startswith(COMMENTS):
                 yield number, line.split(self.separator) if '"' not in line else self._split(line)
-
-    @cached_property
-    def _index(self) -> dict[str, tuple[int, int | None]]:
-        found: dict[str, tuple[int, int | None]] = {}
-        for j, name in enumerate(self.head.names):
-            count = self._lists[name]
-            for key, k in [(f"{name}/{k}", k) for k in range(count)] if count else [(name, None)]:
-                found.setdefault(key, (j, k))
-        return found
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
         """Return columns by name, shape (n,) each: numbers, dates or clock times; NaN or NaT for other cells."""

@@ -14,11 +14,10 @@ import numpy as np
 from ..estimator.errors import FilterDiverged
 from ..estimator.estimator import Estimator, KnownJoint, Posterior, each
 from ..models import own_sensors
-from ..models.arm import pickups
+from ..models.arm import CarriedMass, carrying, load_of, pickups
 from ..models.errors import InputError, InputWarning
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
-from ..models.payload import CarriedMass, carrying, load_of
 from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
 from ..sim import plant, sensors

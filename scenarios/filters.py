@@ -19,7 +19,7 @@ from ..estimator import registry
 from ..estimator.estimator import Estimator
 from ..estimator.tuning_parameters import value_of, with_values
 from ..models.errors import InputError, nearest, unknown_key
-from ..models.schema import documented
+from ..models.files import documented
 
 PAPER = ("EKF", "AREKF", "RAREKF", "REKF")
 """The paper's filters by their names in the registry; those of a scenario that lists none."""

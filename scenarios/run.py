@@ -240,7 +240,7 @@ class Run:
         if self.place is None:
             return with_load(recording, self.joint.numbers["N"].value)
         arm = self.place.arm
-        link, load = Arm.of_text(arm.spec, arm.mjcf).of(
+        link, load = Arm(arm.spec, arm.mjcf).of(
             recording.time, self.reading("link_position"), arm.positions, recording.segments
         )
         return replace(recording, link=link, load=load, arm=arm)

@@ -13,13 +13,13 @@ import numpy as np
 from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
+from ..models.arm import CarriedMass
 from ..models.controller import MODES, Controller, Mode
 from ..models.errors import InputError, nearest, unknown_key
 from ..models.files import M, Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import Joint, load_joint
 from ..models.joint_parts import SYMBOLS, Mounting, Sensors
 from ..models.parameters import REFERENCE_TEMPERATURE
-from ..models.payload import CarriedMass
 from ..models.recording import check_channels
 from ..models.signals import SENSED
 from ..sim.loop import CONTROL_PERIOD

@@ -20,15 +20,13 @@ import mujoco
 import numpy as np
 
 from ..models.arm import ArmPayload
-from ..models.arm_model import put_payloads, weigh
+from ..models.arm_dynamics import numbers, put_payloads, weigh
 from ..models.errors import refusing
 from ..models.joint import Joint
 from ..models.parameters import GRAVITY
 from . import native, plant
-from .attach import attach_record
+from .attach import MASSLESS, attach_record
 from .shape import shape
-
-_MASSLESS = 1e-9  # kg: MuJoCo needs a mass
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ def build(
         shape(one.joint)
         spec = plant.describe(one.record, timestep, ideal_current)
         for name in ("rotor", "wave_generator", "flange"):
-            spec.body(name).mass = _MASSLESS
+            spec.body(name).mass = MASSLESS
         if i == 0:
             for option in ("timestep", "integrator", "gravity", "disableflags"):
                 setattr(arm.option, option, getattr(spec.option, option))
@@ -88,7 +86,7 @@ def on_hinges(
     carried: Sequence[bool] = (),
 ) -> mujoco.MjModel:
     """Build the MuJoCo model of joints, by the names of their hinges, on those of an arm (`attach.attach`); `mjcf`: as
-    of `models.arm_model.reduced`; `carried`: whether each payload is carried. Raises `InputError`: as `attach.attach`.
+    of `models.arm_dynamics.reduced`; `carried`: whether each payload is carried. Raises `InputError`: as `attach.attach`.
 
     A wrench sensor is in each hinge: its y axis is opposite to the hinge's, as in a single joint, and its z axis points
     away from the link's centre of mass.
@@ -131,13 +129,13 @@ def rigid(joints: Sequence[ArmJoint]) -> str:
         p = one.record[0]
         mass, lever = plant.link_mass(p)
         drop = joints[i - 1].length if i else 0.0
-        place = {"pos": _numbers(0.0, 0.0, -drop)} | ({"quat": _numbers(*_about_z(one.turn))} if one.turn else {})
+        place = {"pos": numbers([0.0, 0.0, -drop])} | ({"quat": numbers(_about_z(one.turn))} if one.turn else {})
         parent = ElementTree.SubElement(parent, "body", place, name=one.name)
         ElementTree.SubElement(parent, "joint", name=one.name, axis="0 -1 0")
         angle, about_mass = float(p["gravity_angle"]), float(p["Jl"]) - mass * lever**2
         ElementTree.SubElement(
-            parent, "inertial", pos=_numbers(lever * np.sin(angle), 0.0, -lever * np.cos(angle)), mass=_numbers(mass),
-            diaginertia=_numbers(*[about_mass] * 3),
+            parent, "inertial", pos=numbers([lever * np.sin(angle), 0.0, -lever * np.cos(angle)]), mass=numbers(mass),
+            diaginertia=numbers([about_mass] * 3),
         )  # fmt: skip
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
@@ -145,7 +143,3 @@ def rigid(joints: Sequence[ArmJoint]) -> str:
 
 def _about_z(angle: float) -> list[float]:
     return [float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle))]
-
-
-def _numbers(*values: float) -> str:
-    return " ".join(repr(float(x)) for x in values)

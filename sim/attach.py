@@ -18,7 +18,7 @@ from ..models.joint import Joint, load_joint
 from . import native, plant, plugin
 
 _LONGEST = 1.5  # rad: of the gear's fastest oscillation in a step; the scheme is stable below 2
-_MASSLESS = 1e-9  # kg: MuJoCo needs a mass
+MASSLESS = 1e-9  # kg: MuJoCo needs a mass
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _change(spec: mujoco.MjSpec, name: str, record: np.ndarray, hinge: _Hinge) -
     carrier = link.parent.parent
     blank = mujoco.MjSpec()
     for part, inertia in (("rotor", p["Jm"]), ("wave_generator", p["Jw"])):
-        body = carrier.add_body(name=prefix + part, pos=hinge.place, mass=_MASSLESS)
+        body = carrier.add_body(name=prefix + part, pos=hinge.place, mass=MASSLESS)
         body.explicitinertial = True
         body.ipos, body.inertia = [0.0] * 3, [float(inertia)] * 3
         turn = body.add_joint(name=prefix + part, type=mujoco.mjtJoint.mjJNT_HINGE, axis=hinge.axis)

@@ -18,13 +18,13 @@ import mujoco
 import numpy as np
 
 from ..models import dynamics
+from ..models.controller import control
 from ..models.kernels import kernel
 from ..models.parameters import REFERENCE_TEMPERATURE, floats
 from ..models.pointers import call_estimator, call_step, floats_at, ints_at, word_at
 from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
-from .drive import control
 from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, instance, put_record, state_of
 from .sensors import distort, low_pass, sample
 
@@ -214,17 +214,15 @@ class _Given(NamedTuple):
     def of(cls, joints: Sequence[Driven], step: float) -> _Given:
         """Collect the inputs; `step`: between ticks [s]."""
         n = len(joints[0].command)
-        many, time = (len(joints), n), np.arange(n) * step
-        temperature, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
-        stamps = np.tile(time, (len(joints), 1))
-        for i, one in enumerate(joints):
-            external[i] = one.external_torque
-            for array, given in ((temperature, one.temperature), (tip_force, one.tip_force), (stamps, one.stamps)):
-                if given is not None:
-                    array[i] = given
+
+        def stacked(name: str, default: float | np.ndarray = 0.0) -> np.ndarray:
+            given = [default if (x := getattr(one, name)) is None else x for one in joints]
+            return np.stack([np.broadcast_to(np.asarray(x, float), n) for x in given])
+
         return cls(
-            np.stack([one.command for one in joints]), np.stack([one.rate for one in joints]), external, temperature,
-            _as_floats(np.stack([np.ascontiguousarray(one.noise) for one in joints])), tip_force, stamps,
+            stacked("command"), stacked("rate"), stacked("external_torque"), stacked("temperature", REFERENCE_TEMPERATURE),
+            _as_floats(np.stack([np.ascontiguousarray(one.noise) for one in joints])), stacked("tip_force"),
+            stacked("stamps", np.arange(n) * step),
         )  # fmt: skip
 
 

@@ -1,13 +1,13 @@
 """Fields of MuJoCo's C structures, and addresses of its functions.
 
-Compiled code gets the addresses of an mjModel and an mjData. The offset of a field is found once per process by
-searching the address that Python's view of the field reports, so that it works for any build. MuJoCo is imported on
-use: `import mujoco` itself may run this (`flexspline.__init__`).
+Compiled code gets the addresses of an mjModel and an mjData, and the offsets of their fields by MuJoCo's introspection.
+MuJoCo is imported on use: `import mujoco` itself may run this (`flexspline.__init__`).
 """
 
 from __future__ import annotations
 
 import ctypes
+import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,13 +15,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numba import types
 
 from ..models.kernels import c_function
-
-_FARTHEST = 1 << 19  # bytes: beyond the largest structure
-_AT_ONCE = 64  # words
 
 
 @cache
@@ -104,45 +100,44 @@ that clock. Several threads may enter; another clock is kept. It is stopped, not
 call it."""
 
 
+_TYPES = {
+    "mjtNum": ctypes.c_double, "float": ctypes.c_float, "mjtSize": ctypes.c_int64, "mjtBool": ctypes.c_bool,
+    "size_t": ctypes.c_size_t, "uintptr_t": ctypes.c_size_t, "uint64_t": ctypes.c_uint64,
+}  # fmt: skip
+"""Types of C by their names in MuJoCo's structures; others are int."""
+
+
+def _type(kind: Any) -> Any:
+    """Return a type of MuJoCo's introspection as one of ctypes."""
+    from mujoco.introspect import ast_nodes, structs
+
+    if isinstance(kind, ast_nodes.PointerType):
+        return ctypes.c_void_p
+    if isinstance(kind, ast_nodes.ArrayType):
+        return _type(kind.inner_type) * math.prod(kind.extents)
+    fields = getattr(structs.STRUCTS.get(getattr(kind, "name", ""), kind), "fields", None)
+    if fields is None:
+        return _TYPES.get(kind.name, ctypes.c_int)
+    return type("Structure", (ctypes.Structure,), {"_fields_": [(one.name, _type(one.type)) for one in fields]})
+
+
 @cache
 def offsets() -> dict[str, int]:
     """Return offsets, in words of 8 bytes, of the fields for compiled code: sizes and arrays of mjModel and mjData by
     name, `timestep` of mjModel's options, `time` of mjData and, in words of 4 bytes, `disableflags` of mjModel's
-    options."""
+    options. Raises `RuntimeError`: a MuJoCo whose structures are not as it states."""
     import mujoco
     from mujoco.introspect import structs
 
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody>'
-        '<tendon><fixed><joint joint="j" coef="1"/></fixed></tendon></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    found: dict[str, int] = {}
-    for struct, instance, first, known in (("mjModel", model, "qpos0", "body_ipos"), ("mjData", data, "qpos", "qvel")):
-        names = [field.name for field in structs.STRUCTS[struct].fields]
-        begin = find(instance._address, getattr(instance, known).ctypes.data) - names.index(known)
-        found |= {name: begin + i for i, name in enumerate(names) if i >= names.index(first)}  # one pointer each
-    names = [field.name for field in structs.STRUCTS["mjModel"].fields]
-    found |= {name: i for i, name in enumerate(names[: names.index("opt")])}  # the sizes come first, one word each
-    for name, instance, expected in (
-        ("wrap_prm", model, model.wrap_prm.ctypes.data), ("qfrc_passive", data, data.qfrc_passive.ctypes.data),
-        ("ntendon", model, 1),
-    ):  # fmt: skip
-        if ctypes.c_uint64.from_address(instance._address + 8 * found[name]).value != expected:
+    of_model, of_data = (_type(structs.STRUCTS[name]) for name in ("mjModel", "mjData"))
+    found = {name: getattr(of_model, name).offset // 8 for name, _ in of_model._fields_}
+    arrays = [name for name, kind in of_data._fields_ if kind is ctypes.c_void_p]
+    found |= {name: getattr(of_data, name).offset // 8 for name in (*arrays, "time")}
+    options = _type(structs.STRUCTS["mjOption"])
+    found["timestep"] = (of_model.opt.offset + options.timestep.offset) // 8
+    found["disableflags"] = (of_model.opt.offset + options.disableflags.offset) // 4
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    for one, name in ((model, "body_ipos"), (mujoco.MjData(model), "xpos")):
+        if ctypes.c_uint64.from_address(one._address + 8 * found[name]).value != getattr(one, name).ctypes.data:
             raise RuntimeError(f"MuJoCo {mujoco.__version__}: its structures have an unknown layout")
-    model.opt.disableflags, model.opt.timestep, data.time = 0x5C3A6E17, 2.3456781e-77, 1.2345678e-77
-    found["disableflags"] = find(model._address, model.opt.disableflags, ctypes.c_uint32)
-    found["timestep"] = find(model._address, int(np.float64(model.opt.timestep).view(np.uint64)))
-    found["time"] = find(data._address, int(np.float64(data.time).view(np.uint64)))
     return found
-
-
-def find(address: int, value: int, word: type[ctypes.c_uint64] | type[ctypes.c_uint32] = ctypes.c_uint64) -> int:
-    """Return the index of the first word from an address on with a value."""
-    size = ctypes.sizeof(word)
-    for begin in range(0, _FARTHEST // size, _AT_ONCE):
-        words = np.array((word * _AT_ONCE).from_address(address + size * begin))
-        found = np.flatnonzero(words == value)
-        if len(found):
-            return begin + int(found[0])
-    raise RuntimeError("MuJoCo: a structure has an unknown layout")

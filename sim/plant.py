@@ -8,11 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..models import laws, payload
+from ..models import arm, laws
+from ..models.arm import CarriedMass, carrying
 from ..models.errors import refusing
 from ..models.joint import Joint, shipped
 from ..models.joint_parts import Mounting
-from ..models.payload import CarriedMass, carrying
 from . import native, plugin
 from .shape import shape
 
@@ -194,7 +194,7 @@ def set_motor(actuator: Any, p: np.void) -> None:
 
 def link_mass(p: np.void) -> tuple[float, float]:
     """Return the mass of the rigid part of a record's link [kg] and the distance of its centre from the axis [m]."""
-    return payload.link_mass(float(p["Jl"] - laws.flexible_inertia(p)), float(p["Mg"]))
+    return arm.link_mass(float(p["Jl"] - laws.flexible_inertia(p)), float(p["Mg"]))
 
 
 def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:

@@ -2,8 +2,8 @@
 
 An instance is a gear on one hinge. The rotor's body names it. A fixed tendon connects the rotor and the wave
 generator, and another the wave generator and the hinge, so that no name has to be looked up. Its configuration is the
-joint's parameter record: each field of `models.parameters.PARAMETERS` that differs from `neutral()`. The laws' memory
-is plugin state, which MuJoCo resets, copies, saves and restores.
+joint's parameter record: each field of `models.parameters.PARAMETERS` that differs from `neutral()`. Python reads it as
+an mjData is made. The laws' memory is plugin state, which MuJoCo resets, copies, saves and restores.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..models import dynamics, laws
 from ..models.dynamics import State
 from ..models.kernels import c_function, kernel
 from ..models.parameters import PARAMETERS, REFERENCE_TEMPERATURE, SIZE, as_floats, neutral
-from ..models.pointers import bytes_at, floats_at, ints_at, record_at, word_at, words_at
+from ..models.pointers import floats_at, ints_at, record_at, word_at
 from . import native
 
 NAME = "flexspline.joint"  # of the plugin
@@ -36,7 +36,6 @@ ROTOR, WAVE_GENERATOR, LINK, FLEXIBLE = 0, 1, 2, 3
 """Order of a gear's coordinates; the fourth is the flexible part's, against the link."""
 
 _HEADER = 7  # words before an instance's record: places of three positions and four velocities
-_BLANK = as_floats(neutral())
 
 
 @kernel
@@ -114,116 +113,72 @@ def at_positions(theta, velocity, previous, bristle, dahl, time, h, temperature,
 
 # Offsets of the plugin's inputs in MuJoCo's structures, in 8-byte words: constants of compiled code.
 _AT = native.offsets()
-_BODIES, _TENDONS, _TIMESTEP, _ATTRIBUTES, _ATTRIBUTE, _STATE_AT = (
-    _AT[name] for name in ("nbody", "ntendon", "timestep", "plugin_attr", "plugin_attradr", "plugin_stateadr")
-)
-_BODY_PLUGIN, _BODY_JOINT, _JOINT_QPOS, _JOINT_DOF, _PATH, _PATH_LENGTH, _PATH_KIND, _PATH_JOINT = (
-    _AT[name]
-    for name in (
-        "body_plugin", "body_jntadr", "jnt_qposadr", "jnt_dofadr", "tendon_adr", "tendon_num", "wrap_type", "wrap_objid",
-    )
-)  # fmt: skip
+_TIMESTEP, _STATE_AT = _AT["timestep"], _AT["plugin_stateadr"]
 _TIME, _QPOS, _QVEL, _PASSIVE, _STATE, _DATA = (
     _AT[name] for name in ("time", "qpos", "qvel", "qfrc_passive", "plugin_state", "plugin_data")
 )
 _JOINT = 1  # mjWRAP_JOINT
-_COUNTS = np.array([int(np.prod(PARAMETERS[name].shape, dtype=np.int64)) for name in PARAMETERS.names or ()])
-
-_allocate: Any = types.ExternalFunction("flexspline_allocate", types.intp(types.intp))
 _free: Any = types.ExternalFunction("flexspline_free", types.void(types.intp))
+_allocate: Any = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_size_t)(("mju_malloc", native.library()))
+_attribute: Any = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p)(
+    ("mj_getPluginConfig", native.library())
+)
 
 
-@kernel
-def _numbers(text, i, out, at, count):
-    """Read numbers, all or none of `count`, of a text from index i into out[at:]; return the index after its end, −1
-    if malformed."""
-    n = 0
-    while True:
-        while text[i] == 32:
-            i += 1
-        if text[i] == 0:
-            return i + 1 if n == 0 or n == count else -1
-        if n == count:
-            return -1
-        sign = -1.0 if text[i] == 45 else 1.0
-        if text[i] == 45 or text[i] == 43:
-            i += 1
-        mantissa, digits, exponent, point = 0.0, 0, 0, 0
-        while 48 <= text[i] <= 57 or (text[i] == 46 and point == 0):
-            if text[i] == 46:
-                point = 1
-            else:
-                mantissa = 10.0 * mantissa + (text[i] - 48)
-                exponent -= point
-                digits += 1
-            i += 1
-        if digits == 0:
-            return -1
-        if text[i] == 101 or text[i] == 69:
-            i += 1
-            direction = -1 if text[i] == 45 else 1
-            if text[i] == 45 or text[i] == 43:
-                i += 1
-            if not 48 <= text[i] <= 57:
-                return -1
-            power = 0
-            while 48 <= text[i] <= 57:
-                power = 10 * power + (text[i] - 48)
-                i += 1
-            exponent += direction * power
-        scale = 10.0 ** abs(exponent)
-        out[at + n] = sign * (mantissa * scale if exponent >= 0 else mantissa / scale)
-        n += 1
-        if text[i] != 32 and text[i] != 0:
-            return -1
+def _word(address: int, field: str) -> int:
+    """Return a word of a structure of MuJoCo: a size, or the address of an array."""
+    return ctypes.c_int64.from_address(address + 8 * _AT[field]).value
+
+
+def _array(m: int, field: str) -> Any:
+    return ctypes.cast(_word(m, field), ctypes.POINTER(ctypes.c_int32))
+
+
+def _configured(m: int, instance: int) -> np.ndarray:
+    """Return the parameter record of an instance's configuration, shape (1,). Raises `ValueError`: a field that is not its
+    numbers, or no gear."""
+    record = neutral()
+    p = record[0]
+    for name in PARAMETERS.names or ():
+        if numbers := [float(x) for x in _attribute(m, instance, name.encode()).split()]:
+            p[name] = np.reshape(numbers, PARAMETERS[name].shape)
+    if not (np.isfinite(as_floats(record)).all() and min(p["N"], p["Jw"], p["Jl"], p["vs"]) > 0.0):
+        raise ValueError("expected finite numbers of a gear, got others")
+    return record
+
+
+def _places(m: int, instance: int) -> np.ndarray:
+    """Return the header of an instance's block. Raises `ValueError`: bodies that are not one gear."""
+    kind, joints, begin, length = (_array(m, f) for f in ("wrap_type", "wrap_objid", "tendon_adr", "tendon_num"))
+    # The fixed tendons of two joints, by their first one.
+    pairs = [begin[k] for k in range(_word(m, "ntendon")) if length[k] == 2 and kind[begin[k]] == _JOINT]
+    following = {joints[at]: joints[at + 1] for at in reversed(pairs)}
+    first, of = _array(m, "body_jntadr"), _array(m, "body_plugin")
+    mine = [first[i] for i in range(_word(m, "nbody")) if of[i] == instance and first[i] >= 0]
+    (rotor,) = [joint for joint in mine if joint in following]
+    flexible = [joint for joint in mine if joint != rotor]
+    gear = [rotor, following[rotor], following.get(following[rotor], -1)]
+    if gear[LINK] < 0:
+        raise ValueError("expected a tendon from the wave generator to the hinge, got none")
+    qpos, dof = _array(m, "jnt_qposadr"), _array(m, "jnt_dofadr")
+    return np.array([*(qpos[j] for j in gear), *(dof[j] for j in gear), dof[flexible[-1]] if flexible else -1], float)
+
+
+@ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int)
+def _init(m: int, d: int, instance: int) -> int:
+    try:
+        block = np.concatenate([_places(m, instance), as_floats(_configured(m, instance))])
+    except Exception:  # none may pass through MuJoCo, which names the plugin
+        return -1
+    at = _allocate(block.nbytes)
+    ctypes.memmove(at, block.ctypes.data, block.nbytes)
+    ctypes.c_int64.from_address(_word(d, "plugin_data") + 8 * instance).value = at
+    return 0
 
 
 @kernel
 def _ints(m, field):
     return ints_at(word_at(m + 8 * field))
-
-
-@kernel
-def _next_joint(m, joint):
-    """Return the joint at the other end of the fixed tendon of two joints that starts at a joint; −1 without one."""
-    for k in range(word_at(m + 8 * _TENDONS)):
-        at = _ints(m, _PATH)[k]
-        kind, joints = _ints(m, _PATH_KIND), _ints(m, _PATH_JOINT)
-        if _ints(m, _PATH_LENGTH)[k] == 2 and kind[at] == _JOINT and joints[at] == joint:
-            return np.int64(joints[at + 1])
-    return -1
-
-
-def _init(m, d, instance):
-    block = _allocate(8 * (_HEADER + SIZE))
-    words_at(word_at(d + 8 * _DATA))[instance] = block
-    header, record = floats_at(block), floats_at(block + 8 * _HEADER)
-    for k in range(SIZE):
-        record[k] = _BLANK[k]
-    text, i, at = bytes_at(word_at(m + 8 * _ATTRIBUTES)), np.int64(_ints(m, _ATTRIBUTE)[instance]), 0
-    for k in range(len(_COUNTS)):
-        i = _numbers(text, i, record, at, _COUNTS[k])
-        if i < 0:
-            return -1
-        at += _COUNTS[k]
-    header[3 + FLEXIBLE] = -1.0
-    found = 0
-    for body in range(word_at(m + 8 * _BODIES)):
-        joint = np.int64(_ints(m, _BODY_JOINT)[body])
-        if _ints(m, _BODY_PLUGIN)[body] != instance or joint < 0:
-            continue
-        wave_generator = _next_joint(m, joint)
-        if wave_generator < 0:
-            header[3 + FLEXIBLE] = _ints(m, _JOINT_DOF)[joint]
-            continue
-        link = _next_joint(m, wave_generator)
-        if link < 0:
-            return -1
-        for k, one in enumerate((joint, wave_generator, link)):
-            header[k], header[3 + k] = _ints(m, _JOINT_QPOS)[one], _ints(m, _JOINT_DOF)[one]
-        found += 1
-    p = carray(record_at(block + 8 * _HEADER), 1)[0]
-    return 0 if found == 1 and p.N > 0.0 and p.Jw > 0.0 and p.Jl > 0.0 and p.vs > 0.0 else -1
 
 
 @kernel
@@ -340,12 +295,10 @@ def register() -> None:
     with _registering:
         if _registered:
             return
-        for symbol, name in (("flexspline_allocate", "mju_malloc"), ("flexspline_free", "mju_free")):
-            binding.add_symbol(symbol, native.function_address(name))
+        binding.add_symbol("flexspline_free", native.function_address("mju_free"))
         at, i = types.intp, types.int32
         functions = {
             "nstate": c_function(i(at, i), _states),
-            "init": c_function(i(at, at, i), _init),
             "destroy": c_function(types.void(at, i), _destroy),
             "copy": c_function(types.void(at, at, at, i), _copy),
             "reset": c_function(types.void(at, at, at, i), _reset),
@@ -357,6 +310,7 @@ def register() -> None:
         plugin = _Plugin(NAME.encode(), len(names), attributes, _PASSIVE_FORCES, 0)
         for name, function in functions.items():
             setattr(plugin, name, function.address)
+        plugin.init = ctypes.cast(_init, ctypes.c_void_p)
         _registered.extend((native.library().mjp_registerPlugin(ctypes.byref(plugin)), functions, attributes))
 
 

@@ -46,17 +46,13 @@ class Difference:
         return bool(self.relative <= self.limit)
 
 
+@native.quiet()
 def verify(folder: Path, joint: Joint, timestep: float = plant.TIMESTEP) -> list[Difference]:
     """Drive the plant as the reference files of a folder describe (`no_load.parquet`, `link_sweep.parquet`,
     `external_push.parquet`, `locked_rotor.parquet`), with the joint that they were solved for, and compare. Raises
     `InputError`: a file or a column is missing, or a timestep of which no whole number is 1 ms."""
     if not 0 < timestep <= _PERIOD or abs(_PERIOD / timestep - round(_PERIOD / timestep)) > 1e-6:
         raise InputError(f"timestep: expected a whole fraction of {_PERIOD:g} s, got {timestep:g} s")
-    with native.quiet():
-        return _verify(folder, joint, timestep)
-
-
-def _verify(folder: Path, joint: Joint, timestep: float) -> list[Difference]:
     differences = []
     for name, mounting in CLOSED_LOOP.items():
         reference = _read(folder / f"{name}.parquet", _COLUMNS)

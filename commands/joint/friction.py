@@ -31,7 +31,7 @@ def command(
     """
     import pandas as pd
 
-    from ...models.friction_map import COLUMNS, c_function, friction_map
+    from ...models.characteristics import COLUMNS, c_function, friction_map
     from ...models.joint import load_joint
 
     described = load_joint(joint)
@@ -39,11 +39,11 @@ def command(
     data = load_measurement(measurement, joint)[0] if measurement is not None else None
     inputs = data.files if data is not None else []
     check_output(out, maker, inputs=inputs, writes=names)
-    found = friction_map(described)
-    summary: dict[str, object] = {"joint": described.name, "relative_std": found.relative}
+    columns, relative = friction_map(described)
+    summary: dict[str, object] = {"joint": described.name, "relative_std": relative}
     notes = [
         f"Friction of {described.name}, for feed-forward.",
-        f"Standard deviation by the description: {100 * found.relative:.2g} % (RMS over the map in friction.csv).",
+        f"Standard deviation by the description: {100 * relative:.2g} % (RMS over the map in friction.csv).",
     ]
     if data is not None:
         from ...diagnosis.collapse import feed_forward_error
@@ -55,7 +55,7 @@ def command(
             f"{error.without:.4g} A without ({error.samples} samples)."
         )
     with output_folder(out, maker, inputs=inputs, writes=names) as folder:
-        table = {f"{name} [{COLUMNS[name] or 1}]": values for name, values in found.columns.items()}
+        table = {f"{name} [{COLUMNS[name] or 1}]": values for name, values in columns.items()}
         pd.DataFrame(table).to_csv(folder / "friction.csv", index=False)
         (folder / "friction.c").write_text(c_function(described, notes), encoding="utf-8")
     if as_json:

@@ -17,12 +17,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
-from ...models.arm import ArmSpec, joint_of
+from ...models.arm import ArmSpec, CarriedMass, PayloadSpec, joint_of
 from ...models.errors import InputError, InputWarning, nearest, unknown_key
 from ...models.files import Strict, load
 from ...models.joint import load_joint
 from ...models.joint_parts import Mounting
-from ...models.payload import CarriedMass, PayloadSpec
 from ...models.recording import External, Recording, check_channels, in_arm, with_load
 from ...models.signals import CHANNELS
 from ...models.text_tables import TextForm, seconds
@@ -550,8 +549,6 @@ def _recording(
             text = f"{path}: payloads.{i}: it is carried at no time of the log, {time[0]:g} to {time[-1]:g} s"
             warnings.warn(text, InputWarning, stacklevel=3)
     if layout.arm is None:
-        if not recording.payloads:
-            return recording
-        return with_load(recording, load_joint(recording.joint, home).numbers["N"].value)
+        return with_load(recording, home=home)
     beside_log = (path.parent / layout.arm.model).is_file()
     return in_arm(recording, layout.arm, angles, path, path.parent if beside_log else layout._folder, home)

@@ -69,7 +69,7 @@ def run_arm(
     experiments = []
     for name, e in zip(names, alone, strict=True):
         others = {other: angle for other, angle in middle.items() if other != name}
-        link = Arm.of_text(ArmSpec(model=_MJCF, joint=name), mjcf).mounting(others)
+        link = Arm(ArmSpec(model=_MJCF, joint=name), mjcf).mounting(others)
         own = _alone(scenario, e.scenario).model_copy(update={"link": link, "mounting": ""})
         described = KnownJoint.of(e.known_joint, link)
         experiments.append(replace(e, scenario=own, known=described))
@@ -90,7 +90,7 @@ def run_arm(
         spec = ArmSpec(model=_MJCF, joint=name, payloads=tuple(scenario.payloads) if scenario.known_payloads else ())
         place = Place(ArmRecord(spec, mjcf, others_angles), pushes[:, i].copy())
         signals = signals_of(s)
-        link, load = Arm.of_text(place.arm.spec, mjcf).of(
+        link, load = Arm(place.arm.spec, mjcf).of(
             signals.time, angles[name], others_angles, (slice(0, len(signals.time)),)
         )
         estimators = e.scenario.estimators()

@@ -15,7 +15,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from ...models.arm import ArmPayload
-from ...models.arm_model import put_payloads, reduced
+from ...models.arm_dynamics import put_payloads, reduced
 from ...models.errors import InputError, nearest
 from ...models.files import Strict, parse
 from ...models.joint import Joint
@@ -158,7 +158,7 @@ class ArmScenario(Strict):
 
     def masses(self, folder: Path | None) -> tuple[str, str]:
         """Return the masses and the hinges of its joints as an MJCF's text, from its model, and a line about what of
-        the model's drives is not used. Raises `InputError`: as `arm_model.reduced`; positions commanded beyond a
+        the model's drives is not used. Raises `InputError`: as `arm_dynamics.reduced`; positions commanded beyond a
         hinge's range."""
         where, names = f"scenario {self.name}", [joint.name for joint in self.arm]
         path = (folder or Path()) / str(self.model)

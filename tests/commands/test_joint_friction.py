@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 import flexspline as fs
-from flexspline.models.friction_map import friction, steady
+from flexspline.models.characteristics import friction, steady
 
 
 @pytest.fixture(params=["test-joint", "csg-32-160-ilm70", "with effects"])

@@ -21,11 +21,11 @@ from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.uncertainty import growth, larger, of_description, stated
 from flexspline.diagnosis.validate import validate
 from flexspline.estimator.offline import beyond_range, estimate_recording, write_estimates
+from flexspline.models.calibration import independent_changes, principal
 from flexspline.models.joint import Joint, load_joint
 from flexspline.models.joint_parts import ValidRange, beyond_sentence
 from flexspline.models.recording import Measurement
 from flexspline.models.tables import read_table
-from flexspline.models.uncertainty import independent_changes, principal
 
 SEED = 23
 

@@ -17,14 +17,13 @@ from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, g
 from flexspline.estimator.tuning_parameters import TuningParameter, value_of, with_values
 from flexspline.models import plugins
 from flexspline.models.causes.base import put_discrepancy
-from flexspline.models.controller import Controller
+from flexspline.models.controller import Controller, control
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Joint
 from flexspline.models.parameters import N_COEFFICIENTS
 from flexspline.models.signals import Signals
 from flexspline.models.step import SAMPLE, PythonStep, step_of
 from flexspline.sim import loop, plant, sensors
-from flexspline.sim.drive import control
 
 NAMES = registry.names()
 CAUSAL = [name for name in NAMES if registry.get(name).causal]

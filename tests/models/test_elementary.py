@@ -8,8 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from flexspline.models.dual import LANES, dual_table
-from flexspline.models.elementary import decayed, sincos
+from flexspline.models.dual import LANES, decayed, dual_table, sincos
 
 EPS = np.finfo(float).eps
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import flexspline as fs
+from flexspline.models.calibration import drawn_changes, moved
 from flexspline.models.joint_parts import Uncertainty
-from flexspline.models.uncertainty import drawn_changes, moved
 
 
 def test_draws_of_wide_tolerances_are_joints():

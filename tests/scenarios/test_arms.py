@@ -11,13 +11,13 @@ import yaml
 import flexspline as fs
 from flexspline.models import causes
 from flexspline.models.arm_dynamics import Arm
+from flexspline.models.controller import control
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import read_recording, write_recording
 from flexspline.scenarios.arms.arm_run import run_arm
 from flexspline.scenarios.arms.arm_scenario import ArmScenario, load_any, load_arm
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.sim.drive import control
 from flexspline.sim.loop import CONTROL_PERIOD
 
 SHORT = {"duration": 6.0, "arm__0__filters": ["model"], "arm__1__filters": ["model", "RAREKF"]}
@@ -72,7 +72,7 @@ def test_a_recording_of_a_joint_says_what_arm_it_is_in(runs, tmp_path):
     # The estimators know the payload with the other joint at the median of its command.
     arm = runs["shoulder"].place.arm
     middle = {"elbow": float(np.median(run.position_command))}
-    assert Arm.of_text(arm.spec, arm.mjcf).mounting(middle) == runs["shoulder"].scenario.link
+    assert Arm(arm.spec, arm.mjcf).mounting(middle) == runs["shoulder"].scenario.link
 
 
 def test_a_push_at_the_elbow_is_felt_by_the_shoulder():

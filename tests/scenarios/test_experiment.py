@@ -96,7 +96,7 @@ def test_what_feeds_back_says_in_the_loop_what_it_says_afterwards(name):
 
 def commanded(experiment: Experiment, simulation, torque: np.ndarray) -> np.ndarray:
     """Current commands [A], shape (n,), of the drive's law on recorded readings with a torque estimate, shape (n,)."""
-    from flexspline.sim.drive import control
+    from flexspline.models.controller import control
     from flexspline.sim.loop import CONTROL_PERIOD
 
     p = experiment.record[0]

@@ -7,12 +7,12 @@ import pytest
 import yaml
 
 import flexspline as fs
+from flexspline.models.arm import CarriedMass, carrying
 from flexspline.models.errors import InputError
 from flexspline.models.files import parse
 from flexspline.models.joint import load_joint
 from flexspline.models.laws import flexible_inertia
 from flexspline.models.parameters import GRAVITY
-from flexspline.models.payload import CarriedMass, carrying
 from flexspline.models.recording import read_recording, write_recording
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.run import run_scenario

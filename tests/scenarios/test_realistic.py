@@ -74,7 +74,7 @@ def test_what_feeds_back_says_the_same_afterwards(name):
     experiment = Experiment.of(chosen, folder)
     simulation = experiment.simulate()
     found = registry.get(name).estimate(signals_of(simulation), experiment.known)
-    from flexspline.sim.drive import control
+    from flexspline.models.controller import control
 
     c = chosen.controller.record(experiment.record[0], CONTROL_PERIOD, True)[0]
     state = np.array([c["gear"] * experiment.command[0], 0.0, 0.0])

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from driving import JOINT, record_of
 
-from flexspline.models.controller import Controller
+from flexspline.models.controller import Controller, control
 from flexspline.models.joint_parts import AnalogSpec, EncoderSpec
 from flexspline.models.signals import READINGS, SENSED
 from flexspline.sim import plant
-from flexspline.sim.drive import control
 from flexspline.sim.sensors import SENSOR, distort, flicker, low_pass, noise, quantise, sample, sensor_records, stream
 
 R, L, KT = 1.16, 0.33e-3, 0.0603

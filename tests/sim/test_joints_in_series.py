@@ -232,7 +232,7 @@ def test_with_the_elbow_locked_the_shoulder_is_a_joint_alone():
     model = locked(arm.build(joints), "elbow_")
     (shoulder, _), stay = swings(), np.zeros(2000)
     ours = simulate_together(model, [driven(joints[0], *shoulder), driven(joints[1], stay, stay)])[0]
-    mounting = Arm.of_text(ArmSpec(model="arm.xml", joint="shoulder"), arm.rigid(joints)).mounting()
+    mounting = Arm(ArmSpec(model="arm.xml", joint="shoulder"), arm.rigid(joints)).mounting()
     M, bias = double_pendulum(joints, np.array([0.5 * np.pi, 0.0]), np.zeros(2))
     assert mounting.inertia == pytest.approx(M[0, 0], rel=1e-12)
     assert mounting.gravity_moment == pytest.approx(bias[0], rel=1e-12)

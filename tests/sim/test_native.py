@@ -10,7 +10,9 @@ import pytest
 from driving import JOINT, record_of
 from mujoco import batch, rollout
 
-from flexspline.sim import native, plant
+from flexspline.models.calibration import Calibration
+from flexspline.models.parameters import as_floats
+from flexspline.sim import native, plant, plugin
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -79,6 +81,14 @@ def _component(model, states, name):
         mujoco.mj_setState(model, data, state, STATE)
         found.append(np.array(getattr(data, name)))
     return np.array(found)
+
+
+def test_the_plants_numbers_are_the_records_to_the_bit():
+    """Also those with seventeen digits, of a joint within its tolerances."""
+    calibration = Calibration(JOINT)
+    drawn = calibration.record(np.linspace(-1.0, 1.0, calibration.size))
+    data = mujoco.MjData(plant.build(JOINT, record=drawn))
+    assert np.array_equal(as_floats(plugin.instance(data, 0)[1]), as_floats(drawn))
 
 
 def test_two_joints_in_one_process_do_not_mix():
