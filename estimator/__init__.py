@@ -6,10 +6,9 @@
 from ..models.step import step_of
 from .compliance import measurement_variance
 from .errors import FilterDiverged
-from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise
+from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise, TuningParameter
 from .filters.paper import PaperFilter
 from .registry import get, names
-from .tuning_parameters import TuningParameter
 
 __all__ = [
     "CausalEstimator", "Estimator", "FilterDiverged", "KnownJoint", "PaperFilter", "Posterior", "SensorNoise", "TuningParameter",

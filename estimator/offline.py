@@ -49,8 +49,16 @@ from .errors import FilterDiverged
 from .estimator import Estimator, KnownJoint, each, interval_of
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
-from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
-from .payload_model import MEMORY, NOISE, friction_error, slow_friction
+from .filters.payload import (
+    DECIMATION,
+    MEMORY,
+    NOISE,
+    PayloadObserver,
+    friction_error,
+    observe,
+    slow_current,
+    slow_friction,
+)  # fmt: skip
 
 WALKS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 """Candidate factors of the filters' W; the likelihood of the EKF's innovations decides."""

@@ -64,9 +64,8 @@ from ...models.kernels import kernel
 from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, TuningParameter
 from ..sensing import arm_torque, temperature
-from ..tuning_parameters import TuningParameter
 
 ORDERS = 3  # number of kinematic error orders whose error is estimated
 (

@@ -29,9 +29,8 @@ from ...models.parameters import floats
 from ...models.signals import Signals
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from .. import smoothed
-from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior
+from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior, TuningParameter
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
-from ..tuning_parameters import TuningParameter
 
 MEMORY = floats("torque", "bristle", ("motor", LOWPASS), ("drive", LOWPASS), ("ratio", LOWPASS))
 SETTINGS = floats("cutoff", "lead")

@@ -18,8 +18,7 @@ from ...models.kernels import kernel
 from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure, torque_variance
-from ..estimator import CausalEstimator, KnownJoint
-from ..tuning_parameters import TuningParameter
+from ..estimator import CausalEstimator, KnownJoint, TuningParameter
 
 STATE = floats("torque", "torque_rate", "P00", "P01", "P11")
 """Torque [N·m], its rate [N·m/s] and their covariance."""

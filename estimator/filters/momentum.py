@@ -38,9 +38,8 @@ from ...models.kernels import kernel
 from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, TuningParameter
 from ..sensing import arm_torque, motor_current, temperature
-from ..tuning_parameters import TuningParameter
 
 OBSERVER = floats(
     "motor_position", "link_position", "motor_velocity", "link_velocity", "bristle", "drive_sum", "link_sum", "drive_residual",

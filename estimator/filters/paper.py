@@ -41,9 +41,8 @@ from ...models.parameters import floats
 from ...models.step import Step, step_of
 from .. import recursion
 from ..compliance import TORSION, measure, measurement_variance, torque_variance
-from ..estimator import CausalEstimator, KnownJoint, SensorNoise
+from ..estimator import CausalEstimator, KnownJoint, SensorNoise, TuningParameter
 from ..recursion import ALPHAS, RULES, SETTINGS, STATE
-from ..tuning_parameters import TuningParameter
 
 _RANGES = {
     # field: unit, lowest, may it be the lowest, may it be infinite

@@ -19,8 +19,7 @@ import numpy as np
 from scipy.stats.qmc import Halton
 
 from ...estimator.errors import FilterDiverged
-from ...estimator.estimator import Estimator
-from ...estimator.tuning_parameters import value_of, with_values
+from ...estimator.estimator import Estimator, value_of, with_values
 from ...models.errors import InputError
 from ...models.files import write_text, yaml_text
 from ...models.notebook import shortened

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from ...estimator import registry
-from ...estimator.estimator import Estimator
-from ...estimator.tuning_parameters import with_values
+from ...estimator.estimator import Estimator, with_values
 from ...models import causes, own_sensors
 from ...models.controller import Controller
 from ...models.errors import InputError
