@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -21,6 +22,7 @@ import pyarrow as pa
 
 from ...estimator import registry
 from ...estimator.errors import FilterDiverged
+from ...models import plugins
 from ...models.errors import InputError
 from ..experiment import Experiment, signals_of
 from ..run import reference_of
@@ -29,6 +31,8 @@ from .dataset import Chunk, Dataset
 from .design import Cell, Design
 
 _LARGEST_CHUNK = 16
+_ATTEMPTS = 20  # workers of a cluster that may be lost with a chunk before the sweep ends
+_PATIENCE = 20  # s
 Done = Generator[tuple[Chunk, pa.Table], None, None]  # chunks with their rows, as they finish
 
 
@@ -120,6 +124,63 @@ def on_threads(design: Design, chunks: Iterator[Chunk], jobs: int) -> Done:
                 future.cancel()
 
 
+def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
+    """Yield chunks with their rows as they finish, on the workers of a Dask cluster; lost workers only cost time. They
+    need the same versions, and the files of joints, scenarios and plugins under the same paths. Raises `InputError`:
+    Dask is not installed, there is no scheduler at the address, or workers cannot compute."""
+    try:
+        from distributed import CancelledError, Client, KilledWorker, as_completed
+    except ImportError as error:
+        raise InputError("--scheduler: needs Dask; install flexspline[cluster]") from error
+    try:
+        client = Client(address, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: expected the address of a Dask scheduler, got none there") from error
+    try:
+        attempts: dict[Chunk, int] = {}
+        pending: dict[str, Chunk] = {}
+        finished = as_completed(loop=client.loop)
+
+        def submit(chunk: Chunk) -> None:
+            attempts[chunk] = attempts.get(chunk, 0) + 1
+            key = f"sweep-{design.digest[:12]}-{chunk.cell}-{chunk.begin}-{chunk.end}-{attempts[chunk]}"
+            future = client.submit(_compute, plugins.files(), design, chunk, key=key, pure=False)
+            pending[str(future.key)] = chunk
+            finished.add(future)
+
+        def fill() -> None:
+            threads: Any = client.nthreads()
+            wanted = 2 * max(1, sum(threads.values()))
+            for chunk in islice(chunks, max(0, wanted - len(pending))):
+                submit(chunk)
+
+        fill()
+        while pending:
+            future = next(finished)
+            chunk = pending.pop(str(future.key))
+            try:
+                table = future.result()
+            except (KilledWorker, CancelledError) as error:
+                if attempts[chunk] >= _ATTEMPTS:
+                    raise InputError(f"{address}: {chunk}: {attempts[chunk]} workers were lost with it") from error
+                submit(chunk)
+                continue
+            except ImportError as error:
+                raise InputError(f"{address}: expected workers with flexspline installed, got: {error}") from error
+            del attempts[chunk]
+            future.release()
+            yield chunk, table
+            fill()
+    finally:
+        client.close()
+
+
+def _compute(known: tuple[Path, ...], design: Design, chunk: Chunk) -> pa.Table | None:
+    for path in known:
+        plugins.load(path)
+    return compute(design, chunk)
+
+
 def sweep(
     design: Design,
     dataset: Dataset,
@@ -142,12 +203,7 @@ def sweep(
     """
     with dataset.locked():
         chunks = dataset.missing(chunk or chunk_size(design, jobs))
-        if scheduler is None:
-            done = on_threads(design, chunks, jobs)
-        else:
-            from .cluster import on_cluster
-
-            done = on_cluster(design, chunks, scheduler)
+        done = on_cluster(design, chunks, scheduler) if scheduler else on_threads(design, chunks, jobs)
         ours = json.dumps(versions(), sort_keys=True).encode()
         try:
             for one, table in done:
