@@ -162,18 +162,11 @@ def estimate_recording(
     record: np.ndarray | None = None,
     conditioned: Conditioned | None = None,
 ) -> Estimates:
-    """Run estimators over a recording of a joint.
+    """Run estimators over a recording of a joint, by their names in the registry; all by default.
 
-    Args:
-      recording: its `joint_torque` and `external_torque` are not read.
-      joint: the description, with its known effects.
-      names: of the registry; all by default.
-      bands: whether to compute error bands (`bands`). Costly estimators (`Estimator.costly`) get them only by name:
-        they take ten times the work.
-      record: parameter record for the estimators instead of the joint's, shape (1,).
-
-    Raises:
-      InputError: an unknown name.
+    `bands`: whether to compute error bands (`bands`), of costly estimators (`Estimator.costly`) only by name: they take
+    ten times the work. `record`: parameters for the estimators instead of the joint's, shape (1,). Raises `InputError`:
+    an unknown name.
     """
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
@@ -578,13 +571,9 @@ def track_zero(
 
     δ is a random walk of `wander` rad per √rad of travel, r forgets in `MEMORY`, c are standard normal. δ and r by
     the smoother for given c, which is linear in `seen`; c by its innovations. The noise is at least the observed
-    scatter, and outliers count less (iterated reweighting).
-
-    Args:
-      seen: measured, shape (n,) [rad]; friction_shape [rad/(N·m)], noise [rad], travel since the last [rad]: shape
-        (n,).
-      constants: one standard deviation of each, shape (n, k) [rad].
-      spread: prior standard deviation of δ [rad]; wander [rad/√rad]; friction: of r [N·m].
+    scatter, and outliers count less (iterated reweighting). Shape (n,): `seen`, `noise`, `travel` since the last [rad],
+    `friction_shape` [rad/(N·m)]; (n, k): one standard deviation of each of the `constants` [rad]. Prior standard
+    deviations: `spread` of δ [rad], `friction` of r [N·m].
     """
     forget = float(np.exp(-smoothed.STEP * _TRACK / MEMORY))
     known = np.hypot(noise, friction * friction_shape)

@@ -24,9 +24,7 @@ class Watch:
     """Checks the outputs of an estimator, in blocks."""
 
     def __init__(self, rated_torque: float, names: Sequence[str]):
-        """Args:
-        rated_torque: of the joint [N·m]. names: of the outputs, in order; `torque` is one.
-        """
+        """`rated_torque`: of the joint [N·m]; `names`: of the outputs, in order; `torque` is one."""
         self._rated, self._names = rated_torque, tuple(names)
         self._pairs = [
             (i, self._names.index(name.replace("innovation", "innovation_variance", 1)))

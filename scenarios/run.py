@@ -167,7 +167,10 @@ class Run:
     @cached_property
     def reference(self) -> Reference:
         """Reference signals for metrics of joint torque estimates."""
-        return reference_of(self.simulation, self.model_torque, self.external_torque, self.scenario.transient)
+        return Reference(
+            self.truth("joint_torque"), self.reading("joint_torque"), self.model_torque, self.external_torque,
+            CONTROL_PERIOD, self.scenario.transient,
+        )  # fmt: skip
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -327,20 +330,6 @@ def _estimates(run: Run) -> Iterator[str]:
         yield beyond_sentence(run.beyond)
 
 
-def reference_of(
-    simulation: Simulation, model_torque: np.ndarray, external_torque: np.ndarray, transient: float
-) -> Reference:
-    """Return the reference for metrics of a simulation; `transient`: time to leave out at the start [s]."""
-    return Reference(
-        np.ascontiguousarray(simulation.truth["joint_torque"]),
-        np.ascontiguousarray(simulation.readings["joint_torque"]),
-        model_torque,
-        external_torque,
-        CONTROL_PERIOD,
-        transient,
-    )
-
-
 def run_scenario(scenario: Scenario, folder: Path | None = None, threads: int = 1) -> Run:
     """Run a scenario: the closed loop, then every filter over its signals. `folder`: of the scenario's file, to which
     the joint's path is relative; `threads`: filters at a time, the result does not depend on it.
@@ -356,11 +345,14 @@ def run_scenario(scenario: Scenario, folder: Path | None = None, threads: int = 
 
 
 def run_of(
-    experiment: Experiment, simulation: Simulation, estimates: dict[str, Posterior], place: Place | None = None
+    experiment: Experiment,
+    simulation: Simulation,
+    estimates: dict[str, Posterior] | None = None,
+    place: Place | None = None,
 ) -> Run:
-    """Return an experiment with its results as a run."""
+    """Return an experiment with its results as a run, by default without estimates."""
     return Run(
-        experiment.scenario, experiment.joint, experiment.known_joint, experiment.known, simulation, estimates,
+        experiment.scenario, experiment.joint, experiment.known_joint, experiment.known, simulation, estimates or {},
         experiment.command, experiment.external_torque, place,
     )  # fmt: skip
 
@@ -375,4 +367,4 @@ def simulate_scenario(scenario: Scenario, folder: Path | None, seed: int) -> Run
         )
     scenario = scenario.model_copy(update={"seed": int(seed)})
     experiment = Experiment.of(scenario, folder)
-    return run_of(experiment, experiment.simulate(), {})
+    return run_of(experiment, experiment.simulate())

@@ -38,16 +38,10 @@ def run_arm(
     Estimators know the payload of a joint with the others at the median of their commands. The effect of the others'
     motion is external torque for them. The recordings include it: the arm's links and the other encoders' angles.
 
-    Args:
-      folder: of the scenario's file, to which paths of joints and model are relative.
-      threads: filters at a time; the result does not depend on it.
-      records: parameters of other plants, such as with hidden effects, by the joint's name, shape (1,) each.
-
-    Raises:
-      InputError, FilterDiverged: as `run.run_scenario`.
-
-    Warns:
-      InputWarning: actuators, damping or friction of the model's driven hinges, which are not used.
+    `folder`: of the scenario's file, to which paths of joints and model are relative; `threads`: filters at a time, the
+    result does not depend on it; `records`: parameters of other plants, such as with hidden effects, by the joint's name,
+    shape (1,) each. Raises as `run.run_scenario`. Warns of actuators, damping or friction of the model's driven hinges,
+    which are not used (`InputWarning`).
     """
     alone = [Experiment.of(joint, folder) for joint in scenario.arm]
     alone = [replace(e, record=(records or {}).get(e.scenario.name, e.record)) for e in alone]

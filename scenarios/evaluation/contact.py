@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,10 @@ from ...estimator.external import external_torque
 from ...models.errors import InputError
 from ...models.notebook import shortened
 from ...models.signals import Signals
-from ...sim.loop import CONTROL_PERIOD, Simulation
+from ...sim.loop import CONTROL_PERIOD
 from ...sim.sensors import stream
-from ..experiment import Experiment, signals_of
+from ..experiment import Experiment
+from ..run import Run, run_of
 from ..scenario import Disturbance, Scenario
 from .draws import drawn_record, known_within, varied
 from .metrics import finite
@@ -367,7 +368,7 @@ def assess(
         touched = _simulated(scenario, folder, 2 * index + 2, tolerance, chosen)
         found, untrusted = {}, {}
         for name, each in every.items():
-            (silent, why), (heard, _) = _heard(name, each, *quiet), _heard(name, each, *touched)
+            (silent, why), (heard, _) = _heard(name, each, quiet), _heard(name, each, touched)
             if why is not None:
                 untrusted[name] = why
             for label in silent.keys() | heard.keys():
@@ -394,28 +395,22 @@ def _plain(label: str) -> str:
     return label.removesuffix(BY_LINK)
 
 
-Ran = tuple[Simulation, KnownJoint]
-
-
 def _simulated(
     scenario: Scenario, folder: Path | None, seed: int, tolerance: float, pushed: Sequence[Disturbance]
-) -> Ran:
+) -> Run:
     chosen = varied(scenario, seed).model_copy(update={"disturbances": list(pushed)})
     experiment = Experiment.of(chosen, folder)
     record = drawn_record(experiment, seed, tolerance, zero_known=True)
-    simulation = experiment.simulate(seed, record, experiment.build(record))
-    return simulation, known_within(experiment.known, tolerance, zero_known=True)
+    experiment = replace(experiment, known=known_within(experiment.known, tolerance, zero_known=True))
+    return run_of(experiment, experiment.simulate(seed, record, experiment.build(record)))
 
 
-def _heard(
-    name: str, estimator: Estimator | None, simulation: Simulation, known: KnownJoint
-) -> tuple[dict[str, np.ndarray], str | None]:
+def _heard(name: str, estimator: Estimator | None, run: Run) -> tuple[dict[str, np.ndarray], str | None]:
     """Return |external torque| [N·m], shape (n,), by name, infinite if it diverged; and the reason not to trust it."""
-    signals = signals_of(simulation)
     try:
-        found, untrusted = external(name, estimator, signals, simulation.readings["joint_torque"], known)
+        found, untrusted = external(name, estimator, run.signals, run.reading("joint_torque"), run.known)
     except FilterDiverged:
-        return {name: np.full(len(signals.time), np.inf)}, None
+        return {name: np.full(len(run.time), np.inf)}, None
     return {label: np.abs(values) for label, values in found.items()}, untrusted
 
 

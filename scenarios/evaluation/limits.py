@@ -111,16 +111,11 @@ def assess(
 ) -> Limits:
     """Run a scenario with every seed and compare estimators, by name, with the bounds.
 
-    Args:
-      intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario (root mean square over seeds),
-        and at least 0.001·T2, which means a load known to 1 % after 40 s.
-      tolerance: share of the joint's tolerances that are the prior of the second bound; 0 omits it.
-      progress: called after each seed.
-      vary: whether start, pace and pushes are drawn per seed (`draws.varied`). Seeds that change the sensors' noise alone are
-        not independent, and intervals over them are wrong.
-
-    Raises:
-      InputError: torque feedback, payloads, no seeds, or a joint whose bound is not defined.
+    `intensity`: of the external torque in the bound [N·m/√s]; by default fitted to the scenario (root mean square over
+    seeds), and at least 0.001·T2, which means a load known to 1 % after 40 s. `tolerance`: share of the joint's tolerances
+    that are the prior of the second bound; 0 omits it. `vary`: whether start, pace and pushes are drawn per seed
+    (`draws.varied`): seeds that change the sensors' noise alone are not independent. `progress`: called after each seed.
+    Raises `InputError`: torque feedback, payloads, no seeds, or a joint whose bound is not defined.
     """
     if len(seeds) == 0:
         raise InputError("bound: expected at least one seed, got none")

@@ -321,13 +321,9 @@ def tune_all(
 ) -> Tuning:
     """Tune estimators on the training seeds of scenarios, all together, and evaluate them on the test seeds.
 
-    Args:
-      evaluations, threads: as of `tune`; vary: as of `simulated`.
-      fronts: whether to sweep noise against delay on the test runs of the first scenario with pushes.
-      progress: called with the number of tuned estimators and the name of the next one.
-
-    Raises:
-      InputError: a seed in both; no seeds; a scenario with an estimate fed back.
+    `evaluations`, `threads`: as of `tune`; `vary`: as of `simulated`; `fronts`: whether to sweep noise against delay on
+    the test runs of the first scenario with pushes; `progress`: called with the number of tuned estimators and the name
+    of the next one. Raises `InputError`: a seed in both; no seeds; a scenario with an estimate fed back.
     """
     check_seeds(train, test)
     train_runs, test_runs = (simulated(scenarios, some, vary) for some in (train, test))

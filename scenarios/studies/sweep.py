@@ -20,12 +20,11 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 
-from ...estimator import registry
 from ...estimator.errors import FilterDiverged
 from ...models import plugins
 from ...models.errors import InputError
-from ..experiment import Experiment, signals_of
-from ..run import reference_of
+from ..experiment import Experiment
+from ..run import run_of
 from ..run_folder import versions
 from .dataset import Chunk, Dataset
 from .design import Cell, Design
@@ -77,16 +76,14 @@ def results(
 ) -> list[dict[str, Any]]:
     """Simulate once; return for every variant its metrics and `failure`, the reason if it has none."""
     try:
-        simulation = experiment.simulate(design.noise_seed(cell, seed), record, model)
-        signals = signals_of(simulation)
-        raw = registry.get("model").estimate(signals, experiment.known).mean
+        one = run_of(experiment, experiment.simulate(design.noise_seed(cell, seed), record, model))
+        reference = one.reference
     except (InputError, FilterDiverged) as error:
         return [{"failure": str(error)}] * len(design.variants)
-    reference = reference_of(simulation, raw, experiment.external_torque, experiment.scenario.transient)
     found: list[dict[str, Any]] = []
     for variant in design.variants:
         try:
-            posterior = variant.estimator.estimate(signals, experiment.known)
+            posterior = variant.estimator.estimate(one.signals, one.known)
         except (InputError, FilterDiverged) as error:
             found.append({"failure": str(error)})
             continue
@@ -192,14 +189,9 @@ def sweep(
     """Compute the missing rows of a study's dataset and write them at once. It may be interrupted at any time, and
     called again.
 
-    Args:
-      jobs: threads; on a cluster, twice the cluster's threads are submitted.
-      chunk: runs per chunk and file; by default as many as keep all jobs busy.
-      scheduler: address of a Dask scheduler, to compute on its workers.
-      progress: called with the number of runs that have been written.
-
-    Raises:
-      InputError: no such scheduler; workers with other versions; another sweep in the same folder.
+    `jobs`: threads; `chunk`: runs per chunk and file, by default as many as keep all jobs busy; `scheduler`: address of a
+    Dask scheduler, to compute on its workers; `progress`: called with the number of runs that have been written. Raises
+    `InputError`: no such scheduler; workers with other versions; another sweep in the same folder.
     """
     with dataset.locked():
         chunks = dataset.missing(chunk or chunk_size(design, jobs))
