@@ -262,10 +262,12 @@ def propagate(F, P, A, m, n):
     are constants. A: scratch, as F."""
     for i in range(m):
         for j in range(n):
-            total = 0.0
-            for l in range(n):
-                total += F[i, l] * P[l, j]
-            A[i, j] = total
+            A[i, j] = 0.0
+        for l in range(n):
+            f = F[i, l]
+            if f != 0.0:
+                for j in range(n):
+                    A[i, j] += f * P[l, j]
     for i in range(m):
         for j in range(i + 1):
             total = 0.0
@@ -286,15 +288,16 @@ def add_noise(m, P, dt, noise):
         s = int(noise.active[i])
         P[i, i] += noise.walk[s] * dt
         if s == MESH:
-            P[i, i] += noise.mesh_surge * dt * _share(m.motor_ratio, noise)
+            P[i, i] += noise.mesh_surge * dt * share(m.motor_ratio, noise)
         elif s == EXTERNAL:
-            P[i, i] += noise.external_surge * dt * _share(m.link_ratio, noise)
+            P[i, i] += noise.external_surge * dt * share(m.link_ratio, noise)
         elif s == MOTOR_RATE:
             P[i, i] += noise.current_walk * dt
 
 
 @kernel
-def _share(ratio, noise):
+def share(ratio, noise):
+    """Return how far a mean NIS is between the ends `low` and `high` of settings, 0 to 1."""
     return min(max((ratio - noise.low) / (noise.high - noise.low), 0.0), 1.0)
 
 
