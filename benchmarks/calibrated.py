@@ -90,7 +90,7 @@ def errors(
             if recording.link == experiment.mounting
         )
         each = known(one, extended, experiment, record)
-        simulation = experiment.simulate(seed, record, experiment.build(record))
+        simulation = replace(experiment, record=record).simulate()
         fresh = draw_of(experiment, simulation, record, each["exact"], seed)
         for estimator in names:
             rows.append({"scenario": name, "estimator": estimator})

@@ -182,7 +182,7 @@ def _run(experiment: Experiment, record: np.ndarray, controller: Controller, see
     feedback = "sensor" if experiment.fed_back is None else "estimate"
     scenario = experiment.scenario.model_copy(update={"controller": controller, "feedback": feedback})
     try:
-        return replace(experiment, scenario=scenario).simulate(seed, record, experiment.build(record))
+        return replace(experiment, scenario=scenario, record=record).simulate()
     except (InputError, FilterDiverged):
         return None
 

@@ -400,9 +400,9 @@ def _simulated(
 ) -> Run:
     chosen = varied(scenario, seed).model_copy(update={"disturbances": list(pushed)})
     experiment = Experiment.of(chosen, folder)
-    record = drawn_record(experiment, seed, tolerance, zero_known=True)
-    experiment = replace(experiment, known=known_within(experiment.known, tolerance, zero_known=True))
-    return run_of(experiment, experiment.simulate(seed, record, experiment.build(record)))
+    record, known = drawn_record(experiment, seed, tolerance, True), known_within(experiment.known, tolerance, True)
+    experiment = replace(experiment, record=record, known=known)
+    return run_of(experiment, experiment.simulate())
 
 
 def _heard(name: str, estimator: Estimator | None, run: Run) -> tuple[dict[str, np.ndarray], str | None]:

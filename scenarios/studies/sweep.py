@@ -27,7 +27,7 @@ from ..experiment import Experiment
 from ..run import run_of
 from ..run_folder import versions
 from .dataset import Chunk, Dataset
-from .design import Cell, Design
+from .design import Design
 
 _LARGEST_CHUNK = 16
 _ATTEMPTS = 20  # workers of a cluster that may be lost with a chunk before the sweep ends
@@ -47,8 +47,7 @@ def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -
             return None
         seed = design.study.seed_list[run]
         drawn, record = design.drawn(cell, seed, experiment)
-        plant = model if record is None else drawn.build(record)
-        found = results(design, cell, seed, drawn, record, plant)
+        found = results(design, drawn, model if record is None else drawn.build())
         head: dict[str, Any] = {"run": run, "seed": seed, "key": design.key(cell, seed), **cell.columns}
         for variant, result in zip(design.variants, found, strict=True):
             rows.append(head | variant.columns | {"filter": variant.name} | result)
@@ -71,12 +70,10 @@ def schema(design: Design) -> pa.Schema:
     )
 
 
-def results(
-    design: Design, cell: Cell, seed: int, experiment: Experiment, record: np.ndarray | None, model: mujoco.MjModel
-) -> list[dict[str, Any]]:
+def results(design: Design, experiment: Experiment, model: mujoco.MjModel) -> list[dict[str, Any]]:
     """Simulate once; return for every variant its metrics and `failure`, the reason if it has none."""
     try:
-        one = run_of(experiment, experiment.simulate(design.noise_seed(cell, seed), record, model))
+        one = run_of(experiment, experiment.simulate(model))
         reference = one.reference
     except (InputError, FilterDiverged) as error:
         return [{"failure": str(error)}] * len(design.variants)

@@ -120,7 +120,7 @@ def worst_runs(dataset: Dataset, metric: str) -> list[WorstRun]:
         experiment, record = design.drawn(cell, seed, design.experiment(cell))
         again = None
         if record is None:
-            update = {"name": f"{name}-{seed}", "seed": design.noise_seed(cell, seed), "mounting": ""}
-            again = experiment.scenario.model_copy(update=update | {"link": experiment.mounting})
+            update = {"name": f"{name}-{seed}", "mounting": "", "link": experiment.mounting}
+            again = experiment.scenario.model_copy(update=update)
         found.append(WorstRun(name, label, seed, value, again))
     return found
