@@ -29,8 +29,8 @@ from benchmarks.draws import DrawnExperiment, draw_of, geometric, rms
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.trials.draw import Challenge, Draw, Hidden, draw
 from flexspline.estimator import registry
-from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import KnownJoint
+from flexspline.models.errors import FilterDiverged
 from flexspline.models.joint import Joint
 from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.evaluation.intervals import Interval

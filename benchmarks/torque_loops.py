@@ -19,10 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator, KnownJoint
 from flexspline.models.controller import Controller
-from flexspline.models.errors import InputError
+from flexspline.models.errors import FilterDiverged, InputError
 from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.kernels import kernel
 from flexspline.scenarios.evaluation.draws import drawn_record, known_within, varied

@@ -225,7 +225,7 @@ def _run() -> NoReturn:
     except _UsageError as error:
         _explain(error)
     except ArithmeticError as error:
-        from ..estimator.errors import FilterDiverged
+        from ..models.errors import FilterDiverged
 
         if not isinstance(error, FilterDiverged):
             raise

@@ -88,7 +88,7 @@ def with_plugins(command: Callable[..., Any]) -> Callable[..., Any]:
             except InputError:
                 raise
             except Exception as error:
-                from ..estimator.errors import FilterDiverged
+                from ..models.errors import FilterDiverged
 
                 blamed = None if isinstance(error, FilterDiverged) else plugins.blamed(error)
                 if blamed is None:

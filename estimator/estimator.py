@@ -19,7 +19,7 @@ import numpy as np
 
 from ..models import causes
 from ..models.chunks import BLOCK, large, parts
-from ..models.errors import InputError
+from ..models.errors import FilterDiverged, InputError
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting, Sensors
 from ..models.kernels import kernel
@@ -28,8 +28,7 @@ from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals, at_samples
 from ..models.step import OK, SAMPLE, Arrays, CompiledStep, PythonStep, Step
-from .errors import FilterDiverged
-from .sensing import LOWPASS, read_joint_torque
+from .sensing import read_joint_torque
 from .trust import Watch
 
 Result = TypeVar("Result")
@@ -172,7 +171,7 @@ class KnownJoint:
         read = large(len(torque))
         read_joint_torque(
             np.asarray(torque, dtype=np.float64), signals["motor_position"], signals["link_position"],
-            self.since(signals.time), self.record, np.zeros(1, dtype=LOWPASS), read,
+            self.since(signals.time), self.record, read,
         )  # fmt: skip
         return read
 

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..estimator.errors import FilterDiverged
 from ..estimator.estimator import Estimator, KnownJoint, Posterior, each
 from ..models import own_sensors
 from ..models.arm import pickups
-from ..models.errors import InputError, InputWarning
+from ..models.errors import FilterDiverged, InputError, InputWarning
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
 from ..models.payload import CarriedMass, carrying, load_of

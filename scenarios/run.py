@@ -26,7 +26,6 @@ from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import Recording, with_load
 from ..models.signals import Signals, at_samples
 from ..sim.loop import CONTROL_PERIOD, Simulation
-from ..sim.plant import link_mass
 from .evaluation.metrics import Reference
 from .evaluation.tip_force import TipForce, tip_force
 from .experiment import Experiment, estimate, signals_of
@@ -179,14 +178,8 @@ class Run:
 
     @cached_property
     def tip_force(self) -> TipForce | None:
-        """The force at the link by the wrench and by every filter (`evaluation.tip_force`); None without a recorded wrench or a
-        common lever of all forces."""
-        lever = self.scenario.lever
-        if lever is None:
-            return None
-        mass, _ = link_mass(self.joint.record(self.scenario.mount(self.joint))[0])
-        force = self.scenario.tip_force()
-        return tip_force(self.simulation, self.signals, self.known, mass, force, lever, self.estimates)
+        """The force at the link by the wrench and by every filter; None without a wrench or a common lever."""
+        return tip_force(self)
 
     @cached_property
     def metrics(self) -> dict[str, Any]:

@@ -168,7 +168,9 @@ def _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c):
     """Return the innovation [N·m] of a torsion [rad] about a zero of the link encoder [rad], and its stiffness
     [N·m/rad]; write its row into `m.H`."""
     x, H, theta = m.x, m.H, found.wave_generator_position
-    K = _flank(torsion + zero, p)
+    K = laws.flexspline_stiffness(torsion + zero, p)
+    if not K > 0.0:  # inside a dead zone its flanks may be near
+        K = p.K1
     H[:] = 0.0
     H[SPRING], H[STIFFNESS], H[ZERO], H[COUNT] = 1.0, -x[SPRING], -K, -K
     H[WAVE], H[CURVE] = -K * wound * ratio, -K * (wound - x[WOUND] * soft) * ratio
@@ -342,24 +344,6 @@ def _add_noise(m, h, forget, c):
 
 
 @kernel
-def _flank(torsion, p):
-    """Return the stiffness [N·m/rad] for an error of the torsion: inside a dead zone that of its flanks, which may be
-    near."""
-    K = laws.flexspline_stiffness(torsion, p)
-    return K if K > 0.0 else p.K1
-
-
-@kernel
-def _new_count(m, c):
-    """Reset the position within the motor encoder's count."""
-    m.x[COUNT] = 0.0
-    for j in range(SIZE):
-        m.P[COUNT, j] = 0.0
-        m.P[j, COUNT] = 0.0
-    m.P[COUNT, COUNT] = c.prior[COUNT] ** 2
-
-
-@kernel
 def _off_beat(m, interval, c):
     """Return the deviation of an interval [s] from an even grid that follows the stamps. Samples may be missing on
     it.
@@ -463,7 +447,11 @@ def _step(m, s, p, c, o):
         if not abs(s.link_position - m.link_reading) <= c.link_half:
             m.held = 0.0
         if not abs(s.motor_position - m.motor_reading) <= c.half:
-            _new_count(m, c)
+            x[COUNT] = 0.0  # the position within a new count is not known
+            for j in range(SIZE):
+                P[COUNT, j] = 0.0
+                P[j, COUNT] = 0.0
+            P[COUNT, COUNT] = c.prior[COUNT] ** 2
             m.held = 0.0
         m.motor_reading = s.motor_position
         # The link encoder.

@@ -20,12 +20,12 @@ from typing import ClassVar
 import numpy as np
 
 from ...models.chunks import large, parts
+from ...models.errors import FilterDiverged
 from ...models.kernels import kernel
 from ...models.motion import BLOCK
 from ...models.signals import Signals
 from ...models.step import OK, Step, step_of
 from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step
-from ..errors import FilterDiverged
 from ..estimator import (
     TORQUES,
     CausalEstimator,

@@ -13,11 +13,10 @@ import numpy as np
 from ...estimator import bound, consistency
 from ...estimator.compliance import measurement_variance
 from ...estimator.consistency import Mean
-from ...estimator.errors import FilterDiverged
 from ...estimator.estimator import Estimator, KnownJoint
 from ...estimator.joint_model import STATES
 from ...models.calibration import Calibration
-from ...models.errors import InputError
+from ...models.errors import FilterDiverged, InputError
 from ...models.joint import Joint
 from ...models.joint_parts import Mounting
 from ...models.parameters import PARAMETERS

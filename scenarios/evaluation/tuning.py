@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.stats.qmc import Halton
 
-from ...estimator.errors import FilterDiverged
 from ...estimator.estimator import Estimator, value_of, with_values
-from ...models.errors import InputError
+from ...models.errors import FilterDiverged, InputError
 from ...models.files import write_text, yaml_text
 from ...models.notebook import shortened
 from ..filters import FilterEntry

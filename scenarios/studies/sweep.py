@@ -20,9 +20,8 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 
-from ...estimator.errors import FilterDiverged
 from ...models import plugins
-from ...models.errors import InputError
+from ...models.errors import FilterDiverged, InputError
 from ..experiment import Experiment
 from ..run import run_of
 from ..run_folder import versions
@@ -90,12 +89,6 @@ def results(design: Design, experiment: Experiment, model: mujoco.MjModel) -> li
         measured = reference.evaluate_posterior(posterior)
         found.append({"failure": ""} | {name: measured[name] for name in design.study.metrics})
     return found
-
-
-def chunk_size(design: Design, jobs: int) -> int:
-    """Return the runs per chunk: 16, or fewer to keep all jobs busy."""
-    per_job = math.ceil(design.runs / (4 * jobs))
-    return max(1, min(_LARGEST_CHUNK, per_job, len(design.study.seed_list)))
 
 
 def on_threads(design: Design, chunks: Iterator[Chunk], jobs: int) -> Done:
@@ -191,7 +184,8 @@ def sweep(
     `InputError`: no such scheduler; workers with other versions; another sweep in the same folder.
     """
     with dataset.locked():
-        chunks = dataset.missing(chunk or chunk_size(design, jobs))
+        per_job = math.ceil(design.runs / (4 * jobs))
+        chunks = dataset.missing(chunk or max(1, min(_LARGEST_CHUNK, per_job, len(design.study.seed_list))))
         done = on_cluster(design, chunks, scheduler) if scheduler else on_threads(design, chunks, jobs)
         ours = json.dumps(versions(), sort_keys=True).encode()
         try:
