@@ -40,7 +40,7 @@ class FilterDiverged(ArithmeticError):
         self.filter, self.step, self.time, self.reason = filter, step, time, reason
         super().__init__(f"filter {filter!r} diverged at step {step}, t = {time:g} s: {reason}")
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[type[FilterDiverged], tuple[str, int, float, str]]:
         return type(self), (self.filter, self.step, self.time, self.reason)
 
 
