@@ -183,8 +183,9 @@ def joint_variance(run: Run, record: np.ndarray, intensity: float, others: np.nd
     """Return the bound of the error variance along a run's truth, shape (n,) [(N·m)²]; the arguments as of
     `bound.joint_bound`."""
     noise = KnownJoint.of(run.joint).noise
+    states, temperature = true_states(run), run.scenario.temperature.signal(run.time)
     current, command = run.truth("motor_current"), run.simulation.command
-    return bound.joint_bound(run.time, true_states(run), current, command, record, noise, intensity, others=others)
+    return bound.joint_bound(run.time, states, current, command, record, noise, intensity, temperature, others)
 
 
 def torsion_variance(run: Run, record: np.ndarray, intensity: float) -> np.ndarray:
