@@ -29,8 +29,8 @@ from benchmarks.draws import DrawnExperiment, draw_of, geometric, rms
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.trials.draw import Challenge, Draw, Hidden, draw
 from flexspline.estimator import registry
-from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import KnownJoint
+from flexspline.models.errors import FilterDiverged
 from flexspline.models.joint import Joint
 from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.evaluation.intervals import Interval
@@ -90,7 +90,7 @@ def errors(
             if recording.link == experiment.mounting
         )
         each = known(one, extended, experiment, record)
-        simulation = experiment.simulate(seed, record, experiment.build(record))
+        simulation = replace(experiment, record=record).simulate()
         fresh = draw_of(experiment, simulation, record, each["exact"], seed)
         for estimator in names:
             rows.append({"scenario": name, "estimator": estimator})

@@ -22,9 +22,8 @@ import pandas as pd
 from benchmarks.draws import DrawnExperiment, rms
 from flexspline.estimator import registry
 from flexspline.estimator.compliance import measurement_variance
-from flexspline.estimator.errors import FilterDiverged
-from flexspline.estimator.estimator import CausalEstimator, KnownJoint
-from flexspline.estimator.tuning_parameters import with_values
+from flexspline.estimator.estimator import CausalEstimator, KnownJoint, with_values
+from flexspline.models.errors import FilterDiverged
 from flexspline.models.files import write_into_place
 from flexspline.scenarios.evaluation import metrics
 from flexspline.scenarios.evaluation.intervals import Interval, interval

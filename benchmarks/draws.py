@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +71,7 @@ def draw(
     chosen = of_seed(scenario, seed, vary)
     experiment = Experiment.of(chosen, folder, load)
     record = drawn_record(experiment, seed, tolerance, zero_known)
-    simulation = experiment.simulate(seed, record, experiment.build(record))
+    simulation = replace(experiment, record=record).simulate()
     return draw_of(experiment, simulation, record, known_within(experiment.known, tolerance, zero_known), seed)
 
 

@@ -24,10 +24,8 @@ import pandas as pd
 
 from benchmarks.draws import DrawnExperiment, draw, geometric, rms
 from flexspline.estimator import registry
-from flexspline.estimator.errors import FilterDiverged
-from flexspline.estimator.estimator import Estimator
-from flexspline.estimator.tuning_parameters import with_values
-from flexspline.models.errors import InputError
+from flexspline.estimator.estimator import Estimator, with_values
+from flexspline.models.errors import FilterDiverged, InputError
 from flexspline.models.files import write_into_place, write_rows
 from flexspline.scenarios.evaluation import metrics
 from flexspline.scenarios.evaluation.intervals import Interval, interval

@@ -19,8 +19,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.draws import geometric, rms
-from flexspline.estimator.errors import FilterDiverged
-from flexspline.models.errors import InputError
+from flexspline.models.errors import FilterDiverged, InputError
 from flexspline.models.files import write_rows
 from flexspline.views.tables import markdown_table
 

@@ -19,10 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator, KnownJoint
 from flexspline.models.controller import Controller, control
-from flexspline.models.errors import InputError
+from flexspline.models.errors import FilterDiverged, InputError
 from flexspline.models.joint_parts import LOCKED, Mounting
 from flexspline.models.kernels import kernel
 from flexspline.scenarios.evaluation.draws import drawn_record, known_within, varied
@@ -181,7 +180,7 @@ def _run(experiment: Experiment, record: np.ndarray, controller: Controller, see
     feedback = "sensor" if experiment.fed_back is None else "estimate"
     scenario = experiment.scenario.model_copy(update={"controller": controller, "feedback": feedback})
     try:
-        return replace(experiment, scenario=scenario).simulate(seed, record, experiment.build(record))
+        return replace(experiment, scenario=scenario, record=record).simulate()
     except (InputError, FilterDiverged):
         return None
 

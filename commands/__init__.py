@@ -25,7 +25,7 @@ from typing import Annotated, Any, NoReturn, TextIO
 import typer
 from typer.core import TyperGroup
 
-from ..models.errors import InputError, InputWarning
+from ..models.errors import FilterDiverged, InputError, InputWarning
 
 GROUPS = {
     "Simulate": ("run", "compare", "sweep", "tune", "bound", "contact", "verify"),
@@ -220,16 +220,10 @@ def _run() -> NoReturn:
     warnings.showwarning = _show_warning
     try:
         code = app(prog_name="flexspline", standalone_mode=False)
-    except InputError as error:
+    except (InputError, FilterDiverged) as error:
         _refuse(error)
     except _UsageError as error:
         _explain(error)
-    except ArithmeticError as error:
-        from ..estimator.errors import FilterDiverged
-
-        if not isinstance(error, FilterDiverged):
-            raise
-        _refuse(error)
     except BrokenPipeError:  # an OSError, which `main` handles
         raise
     except OSError as error:  # a disk, permissions, a network folder

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..models.errors import InputError
+from ..models.errors import FilterDiverged, InputError
 
 _SET_HELP = (
     "Override `KEY=VALUE` in the scenario, SI units, with dotted keys. Examples: `duration=20` [s], "
@@ -85,12 +85,10 @@ def with_plugins(command: Callable[..., Any]) -> Callable[..., Any]:
                 registry.check(names)
             try:
                 return command(**options)
-            except InputError:
+            except (InputError, FilterDiverged):
                 raise
             except Exception as error:
-                from ..estimator.errors import FilterDiverged
-
-                blamed = None if isinstance(error, FilterDiverged) else plugins.blamed(error)
+                blamed = plugins.blamed(error)
                 if blamed is None:
                     raise
                 raise blamed from error

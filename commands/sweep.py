@@ -15,7 +15,7 @@ from ._console import console, progress
 from ._options import AsJson, Jobs, shipped, with_plugins
 
 if TYPE_CHECKING:
-    from ..scenarios.studies.swept import Swept, WorstRun
+    from ..scenarios.studies.statistics import Swept, WorstRun
 
 EXAMPLES = (
     "flexspline sweep noise_and_load --seeds 3 --out sweep",
@@ -46,9 +46,8 @@ def command(
     differences paired over seeds, figures, and the worst run of every scenario, to run again.
     """
     single_threaded()
-    from ..scenarios.studies.statistics import summary_rows
+    from ..scenarios.studies.statistics import open_study, summarise, summary_rows
     from ..scenarios.studies.sweep import sweep
-    from ..scenarios.studies.swept import open_study, summarise
     from ..views.sweep_tables import metric_column, sweep_table
 
     dataset = open_study(study, out, seeds)

@@ -3,13 +3,12 @@
 `registry.get(name)` gives an estimator, `KnownJoint.of(joint)` what it may know of a joint, `estimate` runs it over signals.
 """
 
+from ..models.errors import FilterDiverged
 from ..models.step import step_of
 from .compliance import measurement_variance
-from .errors import FilterDiverged
-from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise
+from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise, TuningParameter
 from .filters.paper import PaperFilter
 from .registry import get, names
-from .tuning_parameters import TuningParameter
 
 __all__ = [
     "CausalEstimator", "Estimator", "FilterDiverged", "KnownJoint", "PaperFilter", "Posterior", "SensorNoise", "TuningParameter",

@@ -69,16 +69,10 @@ def joint_bound(
 ) -> np.ndarray:
     """Return the bound of the joint torque's error variance [(N·m)²], shape (n,), along a true trajectory.
 
-    Args:
-      states: Shape (n, SIZE), the true states, columns `joint_model.STATES`.
-      current: Shape (n,), true motor current [A]. command: in force from a sample to the next [A].
-      intensity: of the external torque's random walk [N·m/√s]; ≥ 0.
-      temperature: Shape (n,), of the gear [°C]; by default the reference temperature.
-      others: Shape (k,), the record with one uncertain number each a standard deviation off, independent. By default
-        everything is known exactly.
-
-    Raises:
-      InputError: a wrong intensity.
+    `states`: columns `joint_model.STATES`, shape (n, SIZE); `current`: of the motor, and `command`, in force from a sample
+    to the next [A], shape (n,); `intensity`: of the external torque's random walk [N·m/√s], ≥ 0, else `InputError`;
+    `temperature`: of the gear [°C], shape (n,), by default the reference; `others`: records with one uncertain number
+    each a standard deviation off, independent, shape (k,), by default none.
     """
     joint = KnownJoint(record, noise)
     if not (np.isfinite(intensity) and intensity >= 0.0):

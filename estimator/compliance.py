@@ -122,19 +122,11 @@ def measurement_variance(
 ) -> float:
     """Return the variance V [(N·m)²] of the compliance model's torque by its sensors' noise.
 
-    Linear propagation through Eqs. (6), (7): `V = K²·(σm²/N² + σl² + (σT/(N·Kw))²)`. Quantisation of step q has
-    variance q²/12.
-
-    Args:
-      stiffness: slope K of Eq. (7) [N·m/rad]; K2 is the middle one.
-      motor_resolution: one count of the motor encoder [rad, motor side].
-      link_resolution: one count of the link encoder [rad].
-      link_noise: its noise [rad rms].
-      motor_noise: noise of the motor encoder [rad rms, motor side].
-      ratio: gear ratio N.
-      torque_noise: noise of the motor torque used for Tw [N·m rms, motor side]: zero for an exact command,
-        Kt·(current noise) for a measured current.
-      wave_generator_stiffness: Kw0 [N·m/rad, motor side]; under load, Eq. (3), it is higher and the noise smaller.
+    Linear propagation through Eqs. (6), (7): `V = K²·(σm²/N² + σl² + (σT/(N·Kw))²)` with the slope K of Eq. (7)
+    [N·m/rad], of which K2 is the middle one, and the gear ratio N. Resolution: a count q, of variance q²/12; noise: rms;
+    both [rad], the motor encoder's on the motor side. `torque_noise`: of the motor torque used for Tw [N·m rms, motor
+    side]: zero for an exact command, Kt·(current noise) for a measured current. `wave_generator_stiffness`: Kw0 [N·m/rad,
+    motor side]; under load, Eq. (3), it is higher and the noise smaller.
     """
     motor = (motor_resolution**2 / 12.0 + motor_noise**2) / ratio**2
     link = link_resolution**2 / 12.0 + link_noise**2

@@ -1,15 +1,8 @@
 """Conditioning of recordings: stamps, steps, repeated readings and noise are measured and corrected.
 
-All users of a measured recording take it conditioned:
-
-* **Current** is computed from the motor torque, if the drive reported that instead.
-* **Time** is when a sample was taken. A coarse clock, the arrival's clock, or row numbers show in the encoders: a
-  sample with a wrong time deviates from the smooth motion by the speed times that error. If even sample times make the
-  motion smoother than the stamps do, they are used.
-* **Repeats.** A reading that did not change while the motion continued is an old one. Values between fresh readings
-  follow from the other encoder's motion and the torsion, or from the fresh readings alone.
-* **Passband** [Hz]: how far the motion may be differentiated twice. Above it the acceleration is mostly noise, which
-  is large compared with the current's.
+All users of a measured recording take it conditioned: with a current, with the times at which samples were taken, with
+repeated readings filled in, and with the passband [Hz] up to which the motion may be differentiated twice.
+docs/conditioning.md has a table of what is done.
 """
 
 from __future__ import annotations

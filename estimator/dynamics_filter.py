@@ -41,7 +41,7 @@ mean NIS of both encoders; the motor encoder's last reading [rad] and for how lo
 prediction with its covariance and Jacobian, for a smoother; for a delayed link encoder the number of samples, of
 processed ones, a ring of them and of the external torque [N·m]; state and covariance now; innovations [rad] and
 their variances [rad²]; the rest is scratch."""
-SETTINGS = floats(("noise", NOISE), "kappa")  # Noise, and κ, the spread of the sigma points
+SETTINGS = floats(("noise", NOISE), "kappa")  # noise; κ, the spread of sigma points, NaN to predict by a Jacobian
 OUT = floats(
     "torque", "variance", "innovation_motor_position", "innovation_link_position",
     "innovation_variance_motor_position", "innovation_variance_link_position", *STATES,
@@ -49,18 +49,24 @@ OUT = floats(
 
 
 @kernel
-def filter_step(m, s, c, p, unscented):
-    """Update the filter, a record of `FILTER`, with a sample; return the joint torque [N·m] and its variance [(N·m)²].
-    `m.now` is the state; `unscented`: whether to predict by sigma points instead of a Jacobian."""
+def filter_step(m, s, c, p, o):
+    """Update the filter, a record of `FILTER`, with a sample; write the outputs, a record of `OUT`. Return the status."""
+    x = m.now
     if p.link_delay > 0.0:
-        _late_step(m, s, c, p, unscented)
+        _late_step(m, s, c, p)
     else:
-        _step(m, s, s.link_position, s.interval, c, p, unscented)
-        m.now[:] = m.x
+        _step(m, s, s.link_position, s.interval, c, p)
+        x[:] = m.x
         m.now_P[:] = m.P
-    torque = model.joint_torque(m.now, s.time, p)
-    variance = model.torque_variance(m.now, m.now_P, torque, s.time, p, c.noise, m.H)
-    return torque, max(variance, _within_count(m, s, c.noise, p))
+    o.torque = model.joint_torque(x, s.time, p)
+    variance = model.torque_variance(x, m.now_P, o.torque, s.time, p, c.noise, m.H)
+    o.variance = max(variance, _within_count(m, s, c.noise, p))
+    o.innovation_motor_position, o.innovation_link_position = m.e[0], m.e[1]
+    o.innovation_variance_motor_position, o.innovation_variance_link_position = m.S[0], m.S[1]
+    o.motor_position, o.motor_velocity, o.wave_generator_position, o.wave_generator_velocity = x[0], x[1], x[2], x[3]
+    o.bristle, o.link_position, o.link_velocity, o.flexible_position, o.flexible_velocity = x[4], x[5], x[6], x[7], x[8]
+    o.external_torque, o.mesh_torque, o.stiffness, o.motor_constant, o.hysteresis = x[9], x[10], x[11], x[12], x[13]
+    return OK if math.isfinite(o.torque + o.variance) else NOT_FINITE
 
 
 @kernel
@@ -86,7 +92,7 @@ def _within_count(m, s, noise, p):
 
 
 @kernel
-def _step(m, s, link_position, dt, c, p, unscented):
+def _step(m, s, link_position, dt, c, p):
     """Predict over `dt` [s] to a sample (0: start) and update with its readings, the link's [rad] at that instant."""
     x, P, noise = m.x, m.P, c.noise
     if dt == 0.0:
@@ -98,7 +104,7 @@ def _step(m, s, link_position, dt, c, p, unscented):
     else:
         command, heat = motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p), temperature(s, p)
         x[EXTERNAL] += arm_torque(s)
-        if unscented:
+        if not math.isnan(c.kappa):
             predict_unscented(m, command, dt, heat, noise, c.kappa, p)
         else:
             linearise(m, command, dt, heat, noise, p)
@@ -114,7 +120,7 @@ def _step(m, s, link_position, dt, c, p, unscented):
 
 
 @kernel
-def _late_step(m, s, c, p, unscented):
+def _late_step(m, s, c, p):
     """Step a filter with the link encoder's delay, and advance to now."""
     n = int(m.count)
     m.ring[n % RING] = s
@@ -129,15 +135,15 @@ def _late_step(m, s, c, p, unscented):
             before = m.ring[(n - 1) % RING].link_position
             link -= min(max(late / s.interval, 0.0), 1.0) * (link - before)
         dt = then.time - m.time if k > 0 else 0.0
-        _step(m, then, link, dt, c, p, unscented)
+        _step(m, then, link, dt, c, p)
         m.times[k % RING], m.external[k % RING] = then.time, m.x[EXTERNAL]
         k += 1
         m.done = k
-    _catch_up(m, k, n, c, p, unscented)
+    _catch_up(m, k, n, c, p)
 
 
 @kernel
-def _catch_up(m, k, n, c, p, unscented):
+def _catch_up(m, k, n, c, p):
     """Write state and covariance now, from the filter's last ones through the commands and motor readings of samples
     k to n.
 
@@ -153,7 +159,7 @@ def _catch_up(m, k, n, c, p, unscented):
         external += 1
     P[external, :] = 0.0
     P[:, external] = 0.0
-    if k <= n and (unscented or k == 1):  # not linearised yet
+    if k <= n and (not math.isnan(c.kappa) or k == 1):  # not linearised yet
         s = m.ring[k % RING]
         linearise(
             m, motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p), s.time - time, temperature(s, p), noise, p
@@ -178,19 +184,6 @@ def _advance(x, current, command, time, dt, steps, heat, noise, p, work):
     """Advance a state by `joint_model.advance`, with the decay of d over `dt` [s]."""
     model.advance(x, current, command, time, dt, steps, heat, p, work)
     x[MESH] *= math.exp(-dt / noise.mesh_time)
-
-
-@kernel
-def write_out(m, torque, variance, o):
-    """Write the outputs, a record of `OUT`; return the status."""
-    x = m.now
-    o.torque, o.variance = torque, variance
-    o.innovation_motor_position, o.innovation_link_position = m.e[0], m.e[1]
-    o.innovation_variance_motor_position, o.innovation_variance_link_position = m.S[0], m.S[1]
-    o.motor_position, o.motor_velocity, o.wave_generator_position, o.wave_generator_velocity = x[0], x[1], x[2], x[3]
-    o.bristle, o.link_position, o.link_velocity, o.flexible_position, o.flexible_velocity = x[4], x[5], x[6], x[7], x[8]
-    o.external_torque, o.mesh_torque, o.stiffness, o.motor_constant, o.hysteresis = x[9], x[10], x[11], x[12], x[13]
-    return OK if math.isfinite(torque + variance) else NOT_FINITE
 
 
 @kernel
@@ -269,10 +262,12 @@ def propagate(F, P, A, m, n):
     are constants. A: scratch, as F."""
     for i in range(m):
         for j in range(n):
-            total = 0.0
-            for l in range(n):
-                total += F[i, l] * P[l, j]
-            A[i, j] = total
+            A[i, j] = 0.0
+        for l in range(n):
+            f = F[i, l]
+            if f != 0.0:
+                for j in range(n):
+                    A[i, j] += f * P[l, j]
     for i in range(m):
         for j in range(i + 1):
             total = 0.0
@@ -293,15 +288,16 @@ def add_noise(m, P, dt, noise):
         s = int(noise.active[i])
         P[i, i] += noise.walk[s] * dt
         if s == MESH:
-            P[i, i] += noise.mesh_surge * dt * _share(m.motor_ratio, noise)
+            P[i, i] += noise.mesh_surge * dt * share(m.motor_ratio, noise)
         elif s == EXTERNAL:
-            P[i, i] += noise.external_surge * dt * _share(m.link_ratio, noise)
+            P[i, i] += noise.external_surge * dt * share(m.link_ratio, noise)
         elif s == MOTOR_RATE:
             P[i, i] += noise.current_walk * dt
 
 
 @kernel
-def _share(ratio, noise):
+def share(ratio, noise):
+    """Return how far a mean NIS is between the ends `low` and `high` of settings, 0 to 1."""
     return min(max((ratio - noise.low) / (noise.high - noise.low), 0.0), 1.0)
 
 

@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
 from ..models import causes
 from ..models.chunks import BLOCK, large, parts
-from ..models.errors import InputError
+from ..models.errors import FilterDiverged, InputError
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting, Sensors
 from ..models.kernels import kernel
@@ -28,10 +28,8 @@ from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals, at_samples
 from ..models.step import OK, SAMPLE, Arrays, CompiledStep, PythonStep, Step
-from .errors import FilterDiverged
-from .sensing import LOWPASS, read_joint_torque
+from .sensing import read_joint_torque
 from .trust import Watch
-from .tuning_parameters import TuningParameter
 
 Result = TypeVar("Result")
 _LASTS = 0.01  # correlation time [s] of errors of the current that are not white noise, such as its ripple
@@ -173,7 +171,7 @@ class KnownJoint:
         read = large(len(torque))
         read_joint_torque(
             np.asarray(torque, dtype=np.float64), signals["motor_position"], signals["link_position"],
-            self.since(signals.time), self.record, np.zeros(1, dtype=LOWPASS), read,
+            self.since(signals.time), self.record, read,
         )  # fmt: skip
         return read
 
@@ -277,6 +275,52 @@ class Posterior:
         return found
 
 
+@dataclass(frozen=True)
+class TuningParameter:
+    """A tuning parameter."""
+
+    field: str  # its name; dotted inside a dataclass (`process.push`)
+    low: float  # lower bound, in the field's unit
+    high: float  # upper bound
+    scale: Literal["log", "linear"] = "log"  # of the search; `log` needs low > 0
+
+    def to_unit(self, value: float) -> float:
+        """Return the value's place between the bounds, 0 to 1."""
+        if self.scale == "log":
+            place = math.log(max(value, self.low) / self.low) / math.log(self.high / self.low)
+        else:
+            place = (value - self.low) / (self.high - self.low)
+        return min(max(place, 0.0), 1.0)
+
+    def from_unit(self, place: float) -> float:
+        """Return the value at a place between the bounds."""
+        place = min(max(float(place), 0.0), 1.0)
+        if self.scale == "log":
+            return self.low * (self.high / self.low) ** place
+        return self.low + (self.high - self.low) * place
+
+
+def value_of(settings: Any, field: str) -> Any:
+    """Return the value of a field, which may be dotted."""
+    for part in field.split("."):
+        settings = getattr(settings, part)
+    return settings
+
+
+def with_values(settings: Any, values: Mapping[str, Any]) -> Any:
+    """Return a copy of frozen settings with other values, by field; fields may be dotted."""
+    own: dict[str, Any] = {}
+    inner: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        head, _, rest = name.partition(".")
+        if rest:
+            inner.setdefault(head, {})[rest] = value
+        else:
+            own[head] = value
+    own |= {head: with_values(getattr(settings, head), some) for head, some in inner.items()}
+    return replace(settings, **own)
+
+
 class Estimator(ABC):
     """An estimator of the joint torque: a frozen dataclass of its tuning parameters."""
 
@@ -375,7 +419,8 @@ class CausalEstimator(Estimator):
         arrays = self.step(joint, interval_of(signals.time)).arrays()
         column = {name: large(len(signals.time)) for name in self.outputs if name in names}
         before = np.zeros(len(self.outputs))
-        for part, samples in sample_blocks(signals, self.needs, joint, self.reads_command):
+        for part in parts(len(signals.time), BLOCK):
+            samples = as_samples(signals, self.needs, joint, self.reads_command, part)
             out = np.zeros((len(samples), len(self.outputs)))
             failed, status = go_on(arrays, samples, out)
             if failed < len(samples):
@@ -443,40 +488,17 @@ def interval_of(time: np.ndarray) -> float:
     return round(median, 9)
 
 
-def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False) -> np.ndarray:
-    """Return signals as records of `SAMPLE`, shape (n,); NaN for missing channels. A current command, for estimators
-    with `reads_command`, counts from the next sample; before the first it is 0 A. Raises `InputError`: a missing
-    channel of `needs`."""
+def as_samples(
+    signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False, part: slice = slice(None)
+) -> np.ndarray:
+    """Return a part of signals, by default all, as records of `SAMPLE`, shape (samples,); NaN for missing channels. A
+    current command, for estimators with `reads_command`, counts from the next sample; before the first it is 0 A.
+    Raises `InputError`: a missing channel of `needs`."""
     for name in needs:
         signals[name]
-    # Signals do not change, and every estimator reads the same records.
-    made: dict[tuple[float | None, bool], np.ndarray] = signals.__dict__.setdefault("_samples", {})
-    key = (joint.start, reads_command)
-    if key not in made:
-        made[key] = part_samples(signals, joint, slice(0, len(signals.time)), reads_command)
-    return made[key]
-
-
-def sample_blocks(
-    signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False, block: int | None = None
-) -> Iterator[tuple[slice, np.ndarray]]:
-    """Yield parts of signals with their records, as `as_samples` makes them: all at once, or block by block for long
-    ones. Raises `InputError`: a missing channel of `needs`."""
-    n, block = len(signals.time), BLOCK if block is None else block
-    if n <= block:
-        yield slice(0, n), as_samples(signals, needs, joint, reads_command)
-        return
-    for name in needs:
-        signals[name]
-    for part in parts(n, block):
-        yield part, part_samples(signals, joint, part, reads_command)
-
-
-def part_samples(signals: Signals, joint: KnownJoint, part: slice, reads_command: bool) -> np.ndarray:
-    """Return a part of `as_samples`, shape (samples of the part,)."""
-    time = signals.time
+    time, start = signals.time, part.start or 0
     # The command in force, and the interval, begin at the sample before.
-    before = slice(max(part.start - 1, 0), part.stop)
+    before = slice(max(start - 1, 0), part.stop)
     found = np.full(len(time[before]), np.nan, SAMPLE)
     found["time"] = time[before] - (time[0] if joint.start is None else joint.start)
     found["interval"] = np.diff(time[before], prepend=time[before.start])
@@ -485,22 +507,19 @@ def part_samples(signals: Signals, joint: KnownJoint, part: slice, reads_command
             found[name] = signals[name][before]
     if reads_command and "current_command" in signals:
         found["current_command"] = np.r_[0.0, signals["current_command"][before][:-1]]
-    found = found[part.start - before.start :]
-    found.flags.writeable = False
-    return found
+    return found[start - before.start :]
 
 
 def go_on(arrays: Arrays, samples: np.ndarray, history: np.ndarray) -> tuple[int, int]:
     """Run a step over further samples, records of `SAMPLE`, shape (n,), with `arrays` of `CompiledStep.arrays`, whose
     memory is updated. Its outputs go to `history`, shape (n, outputs). Return the sample at which it failed and its
     status; (n, OK) if it did not."""
-    address, memory, record, settings, _ = arrays
-    failed, status = _run(address, memory, samples, record, settings, history)
+    failed, status = _run(*arrays[:4], samples, history)
     return int(failed), int(status)
 
 
 @kernel
-def _run(address, memory, samples, record, settings, history):
+def _run(address, memory, record, settings, samples, history):
     size = samples.itemsize
     width = 8 * history.shape[1]
     at, to = samples.ctypes.data, history.ctypes.data

@@ -10,6 +10,7 @@ import builtins
 import math
 import operator
 import re
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -33,12 +34,18 @@ _VALUELESS = (
     types.NoneType, types.Dispatcher, types.Function, types.Module, types.SliceType, types.NumberClass,
     types.NamedTupleClass,
 )  # fmt: skip
+_NUMBER = bool | int | float | np.number
 _BINARY = {
     operator.add: "+", operator.sub: "-", operator.mul: "*", operator.lt: "<", operator.le: "<=", operator.gt: ">",
     operator.ge: ">=", operator.eq: "==", operator.ne: "!=", operator.and_: "&", operator.or_: "|", operator.iadd: "+",
     operator.isub: "-", operator.imul: "*",
 }  # fmt: skip
 _UNARY = {operator.not_: "!", operator.neg: "-"}
+_TYPES = (
+    (types.Boolean, "int"), (types.Integer, "int64_t"), (types.Float, "double"), (types.Record, "double *"),
+    (types.RangeType, "fs_range"), (types.RangeIteratorType, "fs_range"),
+)  # fmt: skip
+"""C types of Numba's."""
 _PREFIX = {
     abs: "fabs", math.fabs: "fabs", float: "(double)", int: "(int64_t)", math.floor: "(int64_t)floor",
     math.ceil: "(int64_t)ceil", math.isfinite: "0 != isfinite", np.isfinite: "0 != isfinite", math.isnan: "0 != isnan",
@@ -122,6 +129,10 @@ def _constants(name: str, values: np.ndarray) -> str:
     return f"static const double {name}[{len(values)}] = {{{', '.join(_number(float(x)) for x in values)}}};"
 
 
+def _variable(name: str) -> str:
+    return "v_" + re.sub(r"\W", "_", name)
+
+
 def _number(value: Any) -> str:
     if isinstance(value, bool | np.bool_):
         return str(int(value))
@@ -143,23 +154,15 @@ class _Unit:
         self.heads: dict[str, str] = {}
         self.bodies: dict[str, str] = {}
         self._names: dict[Any, str] = {}
-        self.returns: dict[str, Any] = {}
 
     def c_type(self, kind: Any) -> str:
         """The C type of a Numba type."""
         kind = types.unliteral(kind)
-        if isinstance(kind, types.Boolean):
-            return "int"
-        if isinstance(kind, types.Integer):
-            return "int64_t"
-        if isinstance(kind, types.Float):
-            return "double"
-        if isinstance(kind, types.Record):
-            return "double *"
+        for of, text in _TYPES:
+            if isinstance(kind, of):
+                return text
         if isinstance(kind, types.Array):
             return "double *" if isinstance(kind.dtype, types.Record) else "fs_array"
-        if isinstance(kind, types.RangeType | types.RangeIteratorType):
-            return "fs_range"
         if isinstance(kind, types.BaseTuple):
             members = [self.c_type(member) for member in kind.types]  # type: ignore[attr-defined]
             name = "tuple_" + "_".join(re.sub(r"\W+", "p", member) for member in members)
@@ -195,21 +198,13 @@ class _Function:
         found = type_inference_stage(context, target, self.code, arguments, None)
         self.types, self.result, self.calls = found.typemap, found.return_type, found.calltypes
         self.known: dict[str, Any] = {}
-        self.count: dict[str, int] = {}
-        for block in self.code.blocks.values():
-            for line in block.body:
-                if isinstance(line, ir.Assign):
-                    self.count[line.target.name] = self.count.get(line.target.name, 0) + 1
-
-    def variable(self, name: str) -> str:
-        """A variable's C name."""
-        return "v_" + re.sub(r"\W", "_", name)
+        lines = [line for block in self.code.blocks.values() for line in block.body]
+        self.count = Counter(line.target.name for line in lines if isinstance(line, ir.Assign))
 
     def of(self, variable: ir.Var) -> str:
         """A variable's value in C."""
-        if variable.name in self.known and isinstance(self.known[variable.name], bool | int | float | np.number):
-            return _number(self.known[variable.name])
-        return self.variable(variable.name)
+        known = self.known.get(variable.name)
+        return _number(known) if isinstance(known, _NUMBER) else _variable(variable.name)
 
     def write(self) -> None:
         """Print head and body."""
@@ -219,7 +214,7 @@ class _Function:
         result = "void" if nothing else unit.c_type(self.result)
         head = ", ".join(f"{unit.c_type(kind)} a{i}" for i, kind in enumerate(self.arguments)) or "void"
         used = "\n".join(lines)
-        names = {self.variable(name): kind for name, kind in self.types.items()}
+        names = {_variable(name): kind for name, kind in self.types.items()}
         declared = [f"  {unit.c_type(kind)} {n};" for n, kind in names.items() if re.search(rf"\b{n}\b", used)]
         unit.heads[self.name] = f"static {result} {self.name}({head})"
         unit.bodies[self.name] = "\n".join([unit.heads[self.name], "{", *declared, used, "}"])
@@ -269,27 +264,20 @@ class _Function:
                 self.known[name] = value.value
             if isinstance(value.value, tuple):
                 members = ", ".join(_number(x) for x in value.value)
-                return f"{self.variable(name)} = ({self.unit.c_type(kind)}){{{members}}};"
-            if not isinstance(value.value, bool | int | float | np.number):
-                return ""
-            return f"{self.variable(name)} = {_number(value.value)};"
+                return f"{_variable(name)} = ({self.unit.c_type(kind)}){{{members}}};"
+            return f"{_variable(name)} = {_number(value.value)};" if isinstance(value.value, _NUMBER) else ""
         if isinstance(value, ir.Arg):
-            return f"{self.variable(name)} = a{value.index};"
+            return f"{_variable(name)} = a{value.index};"
         if isinstance(value, ir.Var):
             if value.name in self.known and self.count[name] == 1:
                 self.known[name] = self.known[value.name]
-            if self._nothing(kind):
-                return ""
-            return f"{self.variable(name)} = {self.of(value)};"
+            return "" if isinstance(kind, _VALUELESS) else f"{_variable(name)} = {self.of(value)};"
         if not isinstance(value, ir.Expr):
             raise self._none(value)
         text = self._expression(target, value)
-        if text is None or self._nothing(kind):
+        if text is None or isinstance(kind, _VALUELESS):
             return f"{text};" if text else ""
-        return f"{self.variable(name)} = {text};"
-
-    def _nothing(self, kind: Any) -> bool:
-        return isinstance(kind, _VALUELESS)
+        return f"{_variable(name)} = {text};"
 
     def _expression(self, target: ir.Var, e: ir.Expr) -> str | None:
         kind = self.types[target.name]
@@ -299,9 +287,9 @@ class _Function:
             case "unary":
                 return f"{_UNARY.get(e.fn, '+')}{self.of(e.value)}"
             case "cast":
-                return None if self._nothing(kind) else self.of(e.value)
+                return None if isinstance(kind, _VALUELESS) else self.of(e.value)
             case "build_tuple":
-                if any(self._nothing(self.types[item.name]) for item in e.items):
+                if any(isinstance(self.types[item.name], _VALUELESS) for item in e.items):
                     return None
                 return f"({self.unit.c_type(kind)}){{{', '.join(self.of(item) for item in e.items)}}}"
             case "static_getitem" | "getitem":

@@ -45,17 +45,16 @@ def external_torque(
 
 def lowpassed(time: np.ndarray, values: np.ndarray, cutoff: float) -> np.ndarray:
     """Return a signal behind the Butterworth low-pass of `sensing.lowpass`: value, rate and acceleration, shape (n, 3)."""
-    out, memory = np.zeros((len(time), 3)), np.zeros(1, LOWPASS)
-    _lowpassed(time, np.ascontiguousarray(values, dtype=np.float64), 2 * math.pi * cutoff, memory, out)
-    return out
+    return _lowpassed(time, np.ascontiguousarray(values, dtype=np.float64), 2 * math.pi * cutoff)
 
 
 @kernel
-def _lowpassed(time, values, cutoff, memory, out):
-    m = memory[0]
+def _lowpassed(time, values, cutoff):
+    out, m = np.zeros((len(time), 3)), np.zeros(1, LOWPASS)[0]
     for k in range(len(time)):
         lowpass(m, values[k], time[k] - time[k - 1] if k > 0 else 0.0, cutoff)
         out[k, 0], out[k, 1], out[k, 2] = m.value, m.rate, m.acceleration
+    return out
 
 
 @kernel

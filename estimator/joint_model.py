@@ -33,8 +33,7 @@ from ..models import dynamics, laws
 from ..models.dynamics import UNREAD, State, Transmission
 from ..models.kernels import kernel
 from ..models.parameters import floats
-from .estimator import KnownJoint
-from .tuning_parameters import TuningParameter
+from .estimator import KnownJoint, TuningParameter
 
 STATES = (
     "motor_position", "motor_velocity", "wave_generator_position", "wave_generator_velocity", "bristle",

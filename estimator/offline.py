@@ -33,7 +33,7 @@ import numpy as np
 
 from ..models import dynamics, laws
 from ..models.chunks import kept, large, parts
-from ..models.errors import InputError
+from ..models.errors import FilterDiverged, InputError
 from ..models.files import write_into_place
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
@@ -45,12 +45,19 @@ from ..models.tables import ROWS, table_writer
 from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .conditioning import Conditioned, condition
-from .errors import FilterDiverged
 from .estimator import Estimator, KnownJoint, each, interval_of
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
-from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
-from .payload_model import MEMORY, NOISE, friction_error, slow_friction
+from .filters.payload import (
+    DECIMATION,
+    MEMORY,
+    NOISE,
+    PayloadObserver,
+    friction_error,
+    observe,
+    slow_current,
+    slow_friction,
+)  # fmt: skip
 
 WALKS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 """Candidate factors of the filters' W; the likelihood of the EKF's innovations decides."""
@@ -154,18 +161,11 @@ def estimate_recording(
     record: np.ndarray | None = None,
     conditioned: Conditioned | None = None,
 ) -> Estimates:
-    """Run estimators over a recording of a joint.
+    """Run estimators over a recording of a joint, by their names in the registry; all by default.
 
-    Args:
-      recording: its `joint_torque` and `external_torque` are not read.
-      joint: the description, with its known effects.
-      names: of the registry; all by default.
-      bands: whether to compute error bands (`bands`). Costly estimators (`Estimator.costly`) get them only by name:
-        they take ten times the work.
-      record: parameter record for the estimators instead of the joint's, shape (1,).
-
-    Raises:
-      InputError: an unknown name.
+    `bands`: whether to compute error bands (`bands`), of costly estimators (`Estimator.costly`) only by name: they take
+    ten times the work. `record`: parameters for the estimators instead of the joint's, shape (1,). Raises `InputError`:
+    an unknown name.
     """
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
@@ -429,20 +429,21 @@ def _shifted(signals: Signals, zero: np.ndarray) -> Signals:
 
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:
-    """Return the factor of `WALKS` with the most likely innovations of the EKF."""
+    """Return the factor of `WALKS` with the most likely innovations of the EKF; no outlier counts more than 5
+    deviations."""
     interval = interval_of(signals.time)
     measured = registry.get("model").torques(signals, joint).mean
     ekf = registry.get("EKF").scaled(joint, interval)
     assert isinstance(ekf, PaperFilter)
-    return min(WALKS, key=lambda walk: _surprise(replace(ekf, W=ekf.W * walk), measured))
 
+    def surprise(walk: float) -> float:
+        one = replace(ekf, W=ekf.W * walk)
+        found, step, status = recursion.surprise(measured, one.record(), 25.0)
+        if status != recursion.OK:
+            raise FilterDiverged(one.name, step, step * 1e-3, one.failure(status, measured[step - 1], one.W))
+        return float(found)
 
-def _surprise(ekf: PaperFilter, measured: np.ndarray) -> float:
-    """Return minus twice the log likelihood of a filter's innovations; no outlier counts more than 5 deviations."""
-    found, step, status = recursion.surprise(measured, ekf.record(), 25.0)
-    if status != recursion.OK:
-        raise FilterDiverged(ekf.name, step, step * 1e-3, ekf.failure(status, measured[step - 1], ekf.W))
-    return float(found)
+    return min(WALKS, key=surprise)
 
 
 # --- one encoder ----------------------------------------------------------------------------------------------------
@@ -570,57 +571,36 @@ def track_zero(
 
     δ is a random walk of `wander` rad per √rad of travel, r forgets in `MEMORY`, c are standard normal. δ and r by
     the smoother for given c, which is linear in `seen`; c by its innovations. The noise is at least the observed
-    scatter, and outliers count less (iterated reweighting).
-
-    Args:
-      seen: measured, shape (n,) [rad]; friction_shape [rad/(N·m)], noise [rad], travel since the last [rad]: shape
-        (n,).
-      constants: one standard deviation of each, shape (n, k) [rad].
-      spread: prior standard deviation of δ [rad]; wander [rad/√rad]; friction: of r [N·m].
+    scatter, and outliers count less (iterated reweighting). Shape (n,): `seen`, `noise`, `travel` since the last [rad],
+    `friction_shape` [rad/(N·m)]; (n, k): one standard deviation of each of the `constants` [rad]. Prior standard
+    deviations: `spread` of δ [rad], `friction` of r [N·m].
     """
     forget = float(np.exp(-smoothed.STEP * _TRACK / MEMORY))
     known = np.hypot(noise, friction * friction_shape)
     quiet = noise <= np.median(noise)
     weighted = noise
     beyond = np.zeros(_REWEIGHTED + 1)
+    n, k = constants.shape
+    smooth, innovations, variance, total = np.empty((k + 1, n)), np.empty((k + 1, n)), np.empty(n), np.empty(n)
     for i in range(_REWEIGHTED + 1):
-        (zero, left), variance = _tracked(
-            seen, friction_shape, constants, weighted**2, wander**2 * travel, spread**2, friction**2, forget
-        )
+        for row, column in enumerate((seen, *constants.T)):
+            _track(
+                np.ascontiguousarray(column), friction_shape, weighted**2, wander**2 * travel, spread**2, friction**2, forget,
+                smooth[row], variance, innovations[row], total,
+            )  # fmt: skip
+        information = np.eye(k) + (innovations[1:] / total) @ innovations[1:].T
+        c = np.linalg.solve(information, (innovations[1:] / total) @ innovations[0])
+        zero = smooth[0] - c @ smooth[1:]
+        left = seen - zero - constants @ c
         scatter = _ROBUST * float(np.median(np.abs(left[quiet])))
         beyond[i] = math.sqrt(max(scatter**2 - float(np.median(known[quiet])) ** 2, 0.0))
         if i < _REWEIGHTED:
             weighted = np.hypot(noise, beyond[i])
             weighted = weighted * np.maximum(np.abs(left) / (_OUTLIER * np.hypot(known, beyond[i])), 1.0)
+    variance = variance + np.einsum("kn,kn->n", smooth[1:], np.linalg.solve(information, smooth[1:]))
     if beyond[-1] > _TORSION * float(np.median(known[quiet])):
         variance, wander = variance + beyond[-1] ** 2, math.hypot(wander, beyond[-1])
     return Tracked(zero, np.sqrt(np.maximum(variance, 0.0)), wander)
-
-
-def _tracked(
-    seen: np.ndarray,
-    friction_shape: np.ndarray,
-    constants: np.ndarray,
-    noise: np.ndarray,
-    walk: np.ndarray,
-    zero_variance: float,
-    friction_variance: float,
-    forget: float,
-) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return zero and residual without zero and constants, shape (n,), and the zero's variance, likewise."""
-    k = constants.shape[1]
-    smooth, innovations = np.empty((k + 1, len(seen))), np.empty((k + 1, len(seen)))
-    variance, total = np.empty(len(seen)), np.empty(len(seen))
-    for i, column in enumerate((seen, *constants.T)):
-        _track(
-            np.ascontiguousarray(column), friction_shape, noise, walk, zero_variance, friction_variance, forget, smooth[i],
-            variance, innovations[i], total,
-        )  # fmt: skip
-    information = np.eye(k) + (innovations[1:] / total) @ innovations[1:].T
-    c = np.linalg.solve(information, (innovations[1:] / total) @ innovations[0])
-    zero = smooth[0] - c @ smooth[1:]
-    variance = variance + np.einsum("kn,kn->n", smooth[1:], np.linalg.solve(information, smooth[1:]))
-    return (zero, seen - zero - constants @ c), variance
 
 
 @kernel

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..models import dynamics
 from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
@@ -54,10 +56,10 @@ VELOCITY = 2.0 * math.pi * 40.0  # bandwidth [rad/s] of the rotor's velocity on 
 
 
 @kernel
-def read_joint_torque(torque, motor_position, link_position, time, record, rotor, out):
+def read_joint_torque(torque, motor_position, link_position, time, record, out):
     """Write the joint torque sensor's readings [N·m] before noise, shape (n,), into `out`, by positions as read [rad]
-    and the time since the recording began [s]; `rotor`: low-pass for its velocity, `LOWPASS`, shape (1,)."""
-    p, m = record[0], rotor[0]
+    and the time since the recording began [s]."""
+    p, m = record[0], np.zeros(1, LOWPASS)[0]
     for i in range(len(torque)):
         motor = dynamics.actual_motor_position(motor_position[i], p)
         lowpass(m, motor, time[i] - time[i - 1] if i > 0 else 0.0, VELOCITY)

@@ -1,9 +1,5 @@
-"""Detection of wrong estimates from their own outputs: torques beyond the gear, innovations far beyond their
-variance, a large variance of the torque itself.
-
-An estimator with a wrong joint, load or sampling shows it without a reference. Both limits are far from a working
-estimator. A strain wave gear ratchets below `GEAR` times its rated torque. A mean NIS of `NIS` over a second means
-innovations five times as large as estimated.
+"""Detection of wrong estimates from their own outputs, without a reference: torques beyond the gear, innovations far
+beyond their variance, a large variance of the torque itself. All limits are far from a working estimator.
 """
 
 from __future__ import annotations
@@ -13,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-GEAR = 5.0  # torque [rated torques] that no strain wave gear transmits
-NIS = 25.0  # mean NIS over a second that a working estimator does not reach
+GEAR = 5.0  # torque [rated torques] below which every strain wave gear ratchets
+NIS = 25.0  # mean NIS over a second: innovations five times as large as estimated
 UNSURE = 0.1
 """An estimator's own standard deviation [rated torques] of an estimate that says nothing; working ones have less than 0.01."""
 SETTLING = 1.0  # time [s] after the start that is not checked
@@ -24,9 +20,7 @@ class Watch:
     """Checks the outputs of an estimator, in blocks."""
 
     def __init__(self, rated_torque: float, names: Sequence[str]):
-        """Args:
-        rated_torque: of the joint [N·m]. names: of the outputs, in order; `torque` is one.
-        """
+        """`rated_torque`: of the joint [N·m]; `names`: of the outputs, in order; `torque` is one."""
         self._rated, self._names = rated_torque, tuple(names)
         self._pairs = [
             (i, self._names.index(name.replace("innovation", "innovation_variance", 1)))

@@ -34,9 +34,8 @@ if TYPE_CHECKING:
     from .diagnosis.check import Check
     from .diagnosis.planning import Plan
     from .diagnosis.validate import Validation
-    from .estimator.errors import FilterDiverged
     from .estimator.estimator import Estimator, Posterior
-    from .models.errors import InputError
+    from .models.errors import FilterDiverged, InputError
     from .models.joint import Joint, load_joint
     from .models.recording import Measurement, Recording
     from .scenarios.arms.arm_scenario import ArmScenario
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from .scenarios.evaluation.tuning import Tuning
     from .scenarios.run import Run
     from .scenarios.scenario import Scenario
-    from .scenarios.studies.swept import Swept
+    from .scenarios.studies.statistics import Swept
     from .sim.attach import Attached, align, attach
 
 Measured: TypeAlias = "str | Path | Recording | Measurement | Run | Sequence[Recording | Run]"
@@ -59,7 +58,7 @@ _ELSEWHERE = {
     "ContactStudy": "scenarios.evaluation.contact",
     "Diagnosis": "diagnosis.diagnose",
     "Estimator": "estimator.estimator",
-    "FilterDiverged": "estimator.errors",
+    "FilterDiverged": "models.errors",
     "InputError": "models.errors",
     "Joint": "models.joint",
     "Measurement": "models.recording",
@@ -68,7 +67,7 @@ _ELSEWHERE = {
     "Recording": "models.recording",
     "Run": "scenarios.run",
     "Scenario": "scenarios.scenario",
-    "Swept": "scenarios.studies.swept",
+    "Swept": "scenarios.studies.statistics",
     "Tuning": "scenarios.evaluation.tuning",
     "Validation": "diagnosis.validate",
     "align": "sim.attach",
@@ -403,8 +402,8 @@ def sweep(
     """
     from .commands.sweep import write_summary
     from .models.output import check_output
+    from .scenarios.studies.statistics import open_study, summarise
     from .scenarios.studies.sweep import sweep as compute
-    from .scenarios.studies.swept import open_study, summarise
 
     dataset = open_study(study, Path(out), seeds)
     check_output(Path(out), "sweep", writes=("summary.csv", "summary.md"))

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..estimator.errors import FilterDiverged
 from ..estimator.estimator import Estimator, KnownJoint, Posterior, each
 from ..models import own_sensors
 from ..models.arm import CarriedMass, carrying, load_of, pickups
-from ..models.errors import InputError, InputWarning
+from ..models.errors import FilterDiverged, InputError, InputWarning
 from ..models.joint import Joint
 from ..models.joint_parts import Mounting
 from ..models.signals import CHANNELS, SENSED, Signals
@@ -68,52 +67,46 @@ class Experiment:
             scenario.tip_force(), next((f.build() for f in scenario.filters if f.name == scenario.feedback), None),
         )  # fmt: skip
 
-    def build(self, record: np.ndarray | None = None, payloads: Sequence[CarriedMass] = ()) -> mujoco.MjModel:
-        """Build the MuJoCo model of the plant, or of one with other parameters; `payloads`: that its link carries."""
+    def build(self, payloads: Sequence[CarriedMass] = ()) -> mujoco.MjModel:
+        """Build the MuJoCo model of the plant; `payloads`: that its link carries."""
         return plant.build(
             self.joint,
             self.mounting,
             timestep=self.scenario.timestep,
-            record=self.record if record is None else record,
+            record=self.record,
             locked_rotor=self.scenario.locked_rotor,
             payloads=payloads,
         )
 
-    def simulate(
-        self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
-    ) -> Simulation:
-        """Run the closed loop; parallel runs do not change a bit of the result. `seed`: of the sensors' noise, the
-        scenario's by default; `record`, `model`: of another plant, both or none (`build`).
+    def simulate(self, model: mujoco.MjModel | None = None) -> Simulation:
+        """Run the closed loop, with a model of `build` if there is one already; parallel runs do not change a bit of the
+        result.
 
         Raises:
           InputError: torques with which the motion is no longer finite.
           FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
         """
-        loop = self.closed_loop(seed, record, model)
+        loop = self.closed_loop(model)
         loop.advance(len(self.command))
         self.check(loop)
-        return self.completed(loop.simulation, seed)
+        return self.completed(loop.simulation)
 
-    def closed_loop(
-        self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
-    ) -> ClosedLoop:
-        """Return the closed loop before its first tick; arguments as of `simulate`."""
-        record = self.record if record is None else record
-        model = self.build(record) if model is None else model
-        return ClosedLoop(model, (self.driven(seed, record),), tuple(self._changes(record)))
+    def closed_loop(self, model: mujoco.MjModel | None = None) -> ClosedLoop:
+        """Return the closed loop before its first tick; `model`: as of `simulate`."""
+        return ClosedLoop(self.build() if model is None else model, (self.driven(),), tuple(self._changes()))
 
-    def _changes(self, record: np.ndarray) -> Iterator[Change]:
+    def _changes(self) -> Iterator[Change]:
         """The plant at each tick at which its link picks up or puts down a payload."""
         payloads = self.scenario.payloads
         for tick, carried in pickups(payloads, self.scenario.time):
             now = [one for one, on in zip(payloads, carried, strict=True) if on]
-            yield Change(tick, self.build(record, now), carrying(record, now))
+            yield Change(tick, self.build(now), carrying(self.record, now))
 
-    def driven(self, seed: int | None = None, record: np.ndarray | None = None, prefix: str = "") -> Driven:
+    def driven(self, prefix: str = "") -> Driven:
         """Return drive, sensors and disturbances of the joint for a closed loop; `prefix`: of its names in a model of
         several joints."""
-        scenario, record = self.scenario, self.record if record is None else record
-        p, seed = record[0], scenario.seed if seed is None else seed
+        scenario, record, seed = self.scenario, self.record, self.scenario.seed
+        p = record[0]
         feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
         if self.fed_back is not None:
             feedback = self.fed_back.step(self.known, CONTROL_PERIOD)
@@ -159,8 +152,8 @@ class Experiment:
                 self.scenario.feedback, tick, float(simulation.time[tick]), "the estimate is no longer a finite number"
             )
 
-    def completed(self, simulation: Simulation, seed: int | None = None) -> Simulation:
-        """Add the torque of known payloads and the readings of plugins' sensors; `seed`: as of `simulate`."""
+    def completed(self, simulation: Simulation) -> Simulation:
+        """Add the torque of known payloads and the readings of plugins' sensors."""
         simulation = with_known_payloads(simulation, self.scenario, self.scenario.mount(self.known_joint))
         if not own_sensors.names():
             return simulation
@@ -168,7 +161,7 @@ class Experiment:
         own = own_sensors.readings(
             simulation.time,
             truth | {"external_torque": self.external_torque},
-            partial(sensors.stream, self.scenario.seed if seed is None else seed),
+            partial(sensors.stream, self.scenario.seed),
         )
         return replace(simulation, further=own)
 

@@ -16,8 +16,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BaseModel, ConfigDict, Field, model_serializer, model_validator
 
 from ..estimator import registry
-from ..estimator.estimator import Estimator
-from ..estimator.tuning_parameters import value_of, with_values
+from ..estimator.estimator import Estimator, value_of, with_values
 from ..models.errors import InputError, nearest, unknown_key
 from ..models.files import documented
 

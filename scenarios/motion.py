@@ -58,19 +58,16 @@ class AddedMotion(Strict):
         """Return the command of a mode and its derivative at times [s], shape (n,) each."""
         if self.kind == "file":
             return self._of_file(time, mode)
-        assert self.duration is not None and self.frequency is not None
-        T, f = self.duration, self.frequency
+        T, f, end = (x or 0.0 for x in (self.duration, self.frequency, self.end_frequency))
         t = np.clip(time - self.start, 0.0, T)
         if self.kind == "sine":
             x, dx = np.sin(2 * np.pi * f * t), 2 * np.pi * f * np.cos(2 * np.pi * f * t)
         elif self.kind == "chirp":
-            assert self.end_frequency is not None
-            rate = np.log(self.end_frequency / f) / T
+            rate = np.log(end / f) / T
             x = np.sin(2 * np.pi * f * np.expm1(rate * t) / rate)
             dx = 2 * np.pi * f * np.exp(rate * t) * np.cos(2 * np.pi * f * np.expm1(rate * t) / rate)
         else:
-            assert self.end_frequency is not None
-            w = 2 * np.pi * np.linspace(f, self.end_frequency, self.lines)
+            w = 2 * np.pi * np.linspace(f, end, self.lines)
             phase = -np.pi * np.arange(self.lines) * np.arange(1, self.lines + 1) / self.lines
             x, dx = np.zeros_like(t), np.zeros_like(t)
             for wk, phi in zip(w, phase, strict=True):  # a loop: all at once would need too much memory
@@ -83,8 +80,7 @@ class AddedMotion(Strict):
         return self.amplitude * envelope * x, self.amplitude * (slope * x + envelope * dx)
 
     def _of_file(self, time: np.ndarray, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
-        assert self.file is not None
-        at, command, rate = _read(self.file, mode)
+        at, command, rate = _read(self.file or "", mode)
         t = time - self.start
         if self.duration is not None:
             t = np.minimum(t, self.duration)

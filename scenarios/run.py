@@ -26,7 +26,6 @@ from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import Recording, with_load
 from ..models.signals import Signals, at_samples
 from ..sim.loop import CONTROL_PERIOD, Simulation
-from ..sim.plant import link_mass
 from .evaluation.metrics import Reference
 from .evaluation.tip_force import TipForce, tip_force
 from .experiment import Experiment, estimate, signals_of
@@ -167,7 +166,10 @@ class Run:
     @cached_property
     def reference(self) -> Reference:
         """Reference signals for metrics of joint torque estimates."""
-        return reference_of(self.simulation, self.model_torque, self.external_torque, self.scenario.transient)
+        return Reference(
+            self.truth("joint_torque"), self.reading("joint_torque"), self.model_torque, self.external_torque,
+            CONTROL_PERIOD, self.scenario.transient,
+        )  # fmt: skip
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -176,14 +178,8 @@ class Run:
 
     @cached_property
     def tip_force(self) -> TipForce | None:
-        """The force at the link by the wrench and by every filter (`evaluation.tip_force`); None without a recorded wrench or a
-        common lever of all forces."""
-        lever = self.scenario.lever
-        if lever is None:
-            return None
-        mass, _ = link_mass(self.joint.record(self.scenario.mount(self.joint))[0])
-        force = self.scenario.tip_force()
-        return tip_force(self.simulation, self.signals, self.known, mass, force, lever, self.estimates)
+        """The force at the link by the wrench and by every filter; None without a wrench or a common lever."""
+        return tip_force(self)
 
     @cached_property
     def metrics(self) -> dict[str, Any]:
@@ -327,20 +323,6 @@ def _estimates(run: Run) -> Iterator[str]:
         yield beyond_sentence(run.beyond)
 
 
-def reference_of(
-    simulation: Simulation, model_torque: np.ndarray, external_torque: np.ndarray, transient: float
-) -> Reference:
-    """Return the reference for metrics of a simulation; `transient`: time to leave out at the start [s]."""
-    return Reference(
-        np.ascontiguousarray(simulation.truth["joint_torque"]),
-        np.ascontiguousarray(simulation.readings["joint_torque"]),
-        model_torque,
-        external_torque,
-        CONTROL_PERIOD,
-        transient,
-    )
-
-
 def run_scenario(scenario: Scenario, folder: Path | None = None, threads: int = 1) -> Run:
     """Run a scenario: the closed loop, then every filter over its signals. `folder`: of the scenario's file, to which
     the joint's path is relative; `threads`: filters at a time, the result does not depend on it.
@@ -356,11 +338,14 @@ def run_scenario(scenario: Scenario, folder: Path | None = None, threads: int = 
 
 
 def run_of(
-    experiment: Experiment, simulation: Simulation, estimates: dict[str, Posterior], place: Place | None = None
+    experiment: Experiment,
+    simulation: Simulation,
+    estimates: dict[str, Posterior] | None = None,
+    place: Place | None = None,
 ) -> Run:
-    """Return an experiment with its results as a run."""
+    """Return an experiment with its results as a run, by default without estimates."""
     return Run(
-        experiment.scenario, experiment.joint, experiment.known_joint, experiment.known, simulation, estimates,
+        experiment.scenario, experiment.joint, experiment.known_joint, experiment.known, simulation, estimates or {},
         experiment.command, experiment.external_torque, place,
     )  # fmt: skip
 
@@ -375,4 +360,4 @@ def simulate_scenario(scenario: Scenario, folder: Path | None, seed: int) -> Run
         )
     scenario = scenario.model_copy(update={"seed": int(seed)})
     experiment = Experiment.of(scenario, folder)
-    return run_of(experiment, experiment.simulate(), {})
+    return run_of(experiment, experiment.simulate())

@@ -51,21 +51,16 @@ def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | Non
         signals = signal_columns(run)
         write_table(folder / "signals.parquet", signals, {name: _unit_of(name) for name in signals})
         write_table(folder / "estimates.parquet", *_estimate_columns(run))
-        _describe(run, folder)
+        write_json(folder / "metrics.json", run.metrics)
+        run.joint.write(folder / "joint.yaml")
+        run.known_joint.write(folder / "known_joint.yaml")
+        data = run.scenario.model_dump(mode="json", exclude_none=True)
+        data |= {"joint": "joint.yaml", "known_joint": "known_joint.yaml", "plant": {}, "sensors": {}}
+        (folder / "scenario.yaml").write_text(yaml_text(data), encoding="utf-8")
+        write_json(folder / "run.json", _provenance(run))
         for view in views:
             view(run, folder)
     return out
-
-
-def _describe(run: Run, folder: Path) -> None:
-    """Write the files of a run's folder that are not tables."""
-    write_json(folder / "metrics.json", run.metrics)
-    run.joint.write(folder / "joint.yaml")
-    run.known_joint.write(folder / "known_joint.yaml")
-    data = run.scenario.model_dump(mode="json", exclude_none=True)
-    data["joint"], data["known_joint"], data["plant"], data["sensors"] = "joint.yaml", "known_joint.yaml", {}, {}
-    (folder / "scenario.yaml").write_text(yaml_text(data), encoding="utf-8")
-    write_json(folder / "run.json", provenance(run))
 
 
 def check_run_folder(scenario: Scenario, source: Path, out: Path, within: Path) -> None:
@@ -120,8 +115,7 @@ def signal_columns(run: Run) -> dict[str, np.ndarray]:
     }
 
 
-def provenance(run: Run) -> dict[str, Any]:
-    """Return seed, timestep and versions of a run."""
+def _provenance(run: Run) -> dict[str, Any]:
     return {
         "format": 1,
         "scenario": run.name,
@@ -215,22 +209,20 @@ def _read_estimates(folder: Path, scenario: Scenario, time: np.ndarray) -> dict[
 
 def _posterior(name: str, time: np.ndarray, found: dict[str, np.ndarray], path: Path) -> Posterior:
     m = sum(re.fullmatch(r"innovation(_\d+)?", quantity) is not None for quantity in found)
-    pairs = [_numbered("innovation_variance", m, i, j) for i in range(m) for j in range(i + 1)]
-    for quantity in ("torque", *(_numbered("innovation", m, i) for i in range(m)), *pairs):
+    innovations = [_numbered("innovation", m, i) for i in range(m)]
+    pairs = {_numbered("innovation_variance", m, i, j): (i, j) for i in range(m) for j in range(i + 1)}
+    for quantity in ("torque", *innovations, *pairs):
         if quantity not in found:
             raise InputError(f"{path}: column '{quantity}_{name}': missing")
-    innovation, covariance, own = None, None, {"torque", "variance", "external_torque", "robust"}
-    if m:
-        innovation, covariance = np.zeros((len(time), m)), np.zeros((len(time), m, m))
-        for i in range(m):
-            innovation[:, i] = found[_numbered("innovation", m, i)]
-            own.add(_numbered("innovation", m, i))
-            for j in range(i + 1):
-                column = _numbered("innovation_variance", m, i, j)
-                covariance[:, i, j] = covariance[:, j, i] = found[column]
-                own.add(column)
+    covariance, own = (
+        np.zeros((len(time), m, m)),
+        {"torque", "variance", "external_torque", "robust", *innovations, *pairs},
+    )
+    for column, (i, j) in pairs.items():
+        covariance[:, i, j] = covariance[:, j, i] = found[column]
     return Posterior(
-        name, time, found["torque"], found.get("variance"), innovation, covariance,
+        name, time, found["torque"], found.get("variance"),
+        np.column_stack([found[column] for column in innovations]) if m else None, covariance if m else None,
         found["robust"] > 0 if "robust" in found else None,
         {n: values for n, values in found.items() if n not in own}, found.get("external_torque"),
     )  # fmt: skip

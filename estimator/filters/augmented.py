@@ -33,19 +33,11 @@ with the torsion Δθf from the readings:
 δ, the wave generator's torsion, is that of Tw. K is the stiffness at the torsion Δθf + ζ, with the estimated zero: a
 zero error larger than the torsion between two breakpoints would select the wrong stiffness. Regressors are
 predictions (κ·T, not κ·k(Δθf)): a regressor that shares its noise with the innovation would learn from noise (errors
-in variables). Constants are learned only in calm motion without contact, and not from every sample: model errors are
-not white noise, and constant at rest. At rest they are learned from torsion alone, while it contains more than the
-prior. Otherwise they are considered, not estimated (Schmidt 1966).
-
-Time stamps of even samples may jitter: 0.14 ms of jitter is 14 % of a velocity at 1 kHz. The trust in stamps is
-learned from the link encoder, whose innovation shows, or does not show, the motion in a stamp's deviation from the
-period (`_believe`).
+in variables). docs/estimators.md says when constants are learned, and how far stamps are trusted.
 
 Durations are sums of intervals, and equal counts may differ by rounding. Both are compared half a sample or half a
-count off their value, so that rounding never decides.
-
-Counts are cells, not noise: at rest, ε learns a count once. If both encoders keep their counts, the n-th reading of
-the link encoder has n times its variance.
+count off their value, so that rounding never decides. Counts are cells, not noise: at rest, ε learns a count once. If
+both encoders keep their counts, the n-th reading of the link encoder has n times its variance.
 
 Contacts are rare: τ has a large walk only while the innovations of the link encoder exceed their variance, d while
 those of torsion do (adaptive process noise, Mehra 1972, as in `dynamics_filter`).
@@ -64,9 +56,9 @@ from ...models.kernels import kernel
 from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
-from ..estimator import CausalEstimator, KnownJoint
+from ..dynamics_filter import propagate, share
+from ..estimator import CausalEstimator, KnownJoint, TuningParameter
 from ..sensing import arm_torque, temperature
-from ..tuning_parameters import TuningParameter
 
 ORDERS = 3  # number of kinematic error orders whose error is estimated
 (
@@ -172,16 +164,13 @@ def _update(m, e, variance, least, c):
 
 
 @kernel
-def _share(ratio, c):
-    return min(max((ratio - c.low) / (c.high - c.low), 0.0), 1.0)
-
-
-@kernel
 def _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c):
     """Return the innovation [N·m] of a torsion [rad] about a zero of the link encoder [rad], and its stiffness
     [N·m/rad]; write its row into `m.H`."""
     x, H, theta = m.x, m.H, found.wave_generator_position
-    K = _flank(torsion + zero, p)
+    K = laws.flexspline_stiffness(torsion + zero, p)
+    if not K > 0.0:  # inside a dead zone its flanks may be near
+        K = p.K1
     H[:] = 0.0
     H[SPRING], H[STIFFNESS], H[ZERO], H[COUNT] = 1.0, -x[SPRING], -K, -K
     H[WAVE], H[CURVE] = -K * wound * ratio, -K * (wound - x[WOUND] * soft) * ratio
@@ -324,7 +313,7 @@ def _predict(m, s, found, change, h, p, c):
     forget = math.exp(-h / c.level_time)
     x[MESH] *= forget
     F[MESH, MESH] = forget
-    _propagate(F, m.P, m.A)
+    propagate(F, m.P, m.A, MOVING, SIZE)
     m.P[BRISTLE, BRISTLE] += c.presliding * abs(x[BRISTLE] - bent)  # its stiffness is not known
     if K == 0.0:  # the position in the dead zone is known only by the torsion
         m.P[SPRING, SPRING] += c.loose * h
@@ -341,8 +330,8 @@ def _state(x, found, time, warm):
 
 @kernel
 def _add_noise(m, h, forget, c):
-    P, loud = m.P, _share(m.torsion_ratio, c)
-    touched = max(loud, _share(m.link_ratio, c))
+    P, loud = m.P, share(m.torsion_ratio, c)
+    touched = max(loud, share(m.link_ratio, c))
     # Between distant readings the drive gave other currents, too.
     beyond = max(h - _HELD, 0.0)
     P[ROTOR, ROTOR] += c.rotor_walk * (c.torque_variance * h * h + m.ripple * beyond * beyond)
@@ -352,47 +341,6 @@ def _add_noise(m, h, forget, c):
     P[EXTERNAL, EXTERNAL] += h * (c.external_quiet**2 + touched * c.external_loud**2)
     P[MESH, MESH] += c.level**2 * (1.0 - forget * forget) + h * loud * c.level_loud**2
     P[ZERO, ZERO] += c.wander**2 * h * abs(m.x[LINK_RATE])
-
-
-@kernel
-def _propagate(F, P, A):
-    """P ← F P Fᵀ in place: F of the moving states; the others stay."""
-    for i in range(MOVING):
-        for j in range(SIZE):
-            A[i, j] = 0.0
-        for l in range(SIZE):
-            f = F[i, l]
-            if f != 0.0:
-                for j in range(SIZE):
-                    A[i, j] += f * P[l, j]
-    for i in range(MOVING):
-        for j in range(MOVING, SIZE):
-            P[i, j] = A[i, j]
-            P[j, i] = A[i, j]
-        for j in range(i + 1):
-            total = 0.0
-            for l in range(SIZE):
-                total += A[i, l] * F[j, l]
-            P[i, j] = total
-            P[j, i] = total
-
-
-@kernel
-def _flank(torsion, p):
-    """Return the stiffness [N·m/rad] for an error of the torsion: inside a dead zone that of its flanks, which may be
-    near."""
-    K = laws.flexspline_stiffness(torsion, p)
-    return K if K > 0.0 else p.K1
-
-
-@kernel
-def _new_count(m, c):
-    """Reset the position within the motor encoder's count."""
-    m.x[COUNT] = 0.0
-    for j in range(SIZE):
-        m.P[COUNT, j] = 0.0
-        m.P[j, COUNT] = 0.0
-    m.P[COUNT, COUNT] = c.prior[COUNT] ** 2
 
 
 @kernel
@@ -499,7 +447,11 @@ def _step(m, s, p, c, o):
         if not abs(s.link_position - m.link_reading) <= c.link_half:
             m.held = 0.0
         if not abs(s.motor_position - m.motor_reading) <= c.half:
-            _new_count(m, c)
+            x[COUNT] = 0.0  # the position within a new count is not known
+            for j in range(SIZE):
+                P[COUNT, j] = 0.0
+                P[j, COUNT] = 0.0
+            P[COUNT, COUNT] = c.prior[COUNT] ** 2
             m.held = 0.0
         m.motor_reading = s.motor_position
         # The link encoder.

@@ -18,8 +18,7 @@ from ...models.errors import InputError
 from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure, torque_variance
-from ..estimator import CausalEstimator, KnownJoint
-from ..tuning_parameters import TuningParameter
+from ..estimator import CausalEstimator, KnownJoint, TuningParameter
 
 SETTINGS = floats("variance")
 

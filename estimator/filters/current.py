@@ -24,24 +24,20 @@ from typing import ClassVar
 import numpy as np
 
 from ...models import dynamics, laws
-from ...models.kernels import kernel
 from ...models.parameters import floats
 from ...models.signals import Signals
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from .. import smoothed
-from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior
+from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior, TuningParameter
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
-from ..tuning_parameters import TuningParameter
 
 MEMORY = floats("torque", "bristle", ("motor", LOWPASS), ("drive", LOWPASS), ("ratio", LOWPASS))
-SETTINGS = floats("cutoff", "lead")
+SETTINGS = floats("cutoff", "lead")  # of the low-pass [rad/s]; [s]
 OUT = floats("torque", "motor_velocity", "motor_acceleration", "drive_torque", "bristle")
 
 
-@kernel
-def torque_of_current(m, s, c, p):
-    """Return the joint torque Ts [N·m] at a sample. `m`: record of `MEMORY`, updated; `c`: of `SETTINGS`, cutoff of the
-    low-pass [rad/s] and lead [s]."""
+@step_of(MEMORY, SETTINGS, OUT)
+def _step(m, s, p, c, o):
     cutoff = c.cutoff
     motor = dynamics.actual_motor_position(s.motor_position, p)
     lowpass(m.motor, motor, s.interval, cutoff)
@@ -61,14 +57,8 @@ def torque_of_current(m, s, c, p):
     friction = dynamics.mesh_torque(state, m.torque, g, p)
     drive, ratio = m.drive.value + c.lead * m.drive.rate, m.ratio.value + c.lead * m.ratio.rate
     m.torque = (drive - friction - (p.Jm + p.Jw) * a) / ratio
-    return m.torque - p.bl * w / p.N
-
-
-@step_of(MEMORY, SETTINGS, OUT)
-def _step(m, s, p, c, o):
-    o.torque = torque_of_current(m, s, c, p)
-    o.motor_velocity, o.motor_acceleration = m.motor.rate, m.motor.acceleration
-    o.drive_torque, o.bristle = m.drive.value, m.bristle
+    o.torque = m.torque - p.bl * w / p.N
+    o.motor_velocity, o.motor_acceleration, o.drive_torque, o.bristle = w, a, m.drive.value, m.bristle
     return OK if math.isfinite(o.torque) else NOT_FINITE
 
 

@@ -13,29 +13,38 @@ Backwards from the last sample (Rauch, Tung & Striebel 1965; Särkkä, "Bayesian
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 
 from ...models.chunks import large, parts
+from ...models.errors import FilterDiverged
 from ...models.kernels import kernel
 from ...models.motion import BLOCK
 from ...models.signals import Signals
-from ...models.step import Step, step_of
-from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, write_out
-from ..errors import FilterDiverged
-from ..estimator import TORQUES, CausalEstimator, Estimator, KnownJoint, Posterior, fields_of, interval_of, part_samples
+from ...models.step import OK, Step, step_of
+from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step
+from ..estimator import (
+    TORQUES,
+    CausalEstimator,
+    Estimator,
+    KnownJoint,
+    Posterior,
+    TuningParameter,
+    as_samples,
+    fields_of,
+    interval_of,
+)
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
 from ..smoothed import in_time
 from ..trust import Watch
-from ..tuning_parameters import TuningParameter
 
 
 @step_of(FILTER, SETTINGS, OUT)
 def _step(m, s, p, c, o):
-    torque, variance = filter_step(m, s, c, p, False)
-    return write_out(m, torque, variance, o)
+    return filter_step(m, s, c, p, o)
 
 
 @dataclass(frozen=True)
@@ -60,14 +69,8 @@ class DynamicsEKF(CausalEstimator):
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = np.zeros(1, SETTINGS)
-        found["noise"] = self.process.record(joint, interval)
+        found["noise"], found["kappa"] = self.process.record(joint, interval), math.nan
         return found
-
-
-@step_of(FILTER, SETTINGS, OUT)
-def _unscented_step(m, s, p, c, o):
-    torque, variance = filter_step(m, s, c, p, True)
-    return write_out(m, torque, variance, o)
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,6 @@ class DynamicsUKF(DynamicsEKF):
     description: ClassVar[str] = (
         "unscented Kalman filter on the joint's own equations of motion (Julier & Uhlmann 1997)"
     )
-    compiled: ClassVar[Step] = _unscented_step
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = super().settings(joint, interval)
@@ -98,8 +100,7 @@ def forward(samples, settings, record, memory, out, F, predicted, covariance, fi
     """
     m, c, p, count = memory[0], settings[0], record[0], F.shape[1]
     for k in range(len(samples)):
-        torque, variance = filter_step(m, samples[k], c, p, False)
-        if write_out(m, torque, variance, out[k]) != 0:
+        if filter_step(m, samples[k], c, p, out[k]) != OK:
             return k
         F[k], covariance[k], filtered[k] = m.F[:count, :count], m.predicted_P[:count, :count], m.P[:count, :count]
         predicted[k] = m.predicted
@@ -172,7 +173,7 @@ class RTSSmoother(Estimator):
         first = outputs.index(STATES[0])
 
         def run(part: slice) -> np.ndarray:
-            samples = part_samples(signals, joint, part, False)
+            samples = as_samples(signals, (), joint, False, part)
             done = forward(samples, settings, joint.record, memory, out[: len(samples)], F, predicted, covariance, P)
             if done < len(samples):
                 at = part.start + int(done)

@@ -18,24 +18,20 @@ from ...models.kernels import kernel
 from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure, torque_variance
-from ..estimator import CausalEstimator, KnownJoint
-from ..tuning_parameters import TuningParameter
+from ..estimator import CausalEstimator, KnownJoint, TuningParameter
 
 STATE = floats("torque", "torque_rate", "P00", "P01", "P11")
 """Torque [N·m], its rate [N·m/s] and their covariance."""
 MEMORY = floats(("torsion", TORSION), ("filter", STATE), "expected")
 """`expected`: squared innovation in the memory of a fading filter [(N·m)²]."""
-SETTINGS = floats("q", "V", "rate_variance", "first", "second")
-"""q [(N·m)²/s³], V [(N·m)²], variance of the first rate; two tuning parameters of subclasses."""
+SETTINGS = floats("rule", "q", "V", "rate_variance", "first", "second")
+"""Gain rule, q [(N·m)²/s³], V [(N·m)²], variance of the first rate; two tuning parameters of the rule."""
 OUT = floats("torque", "variance", "innovation", "innovation_variance", "torque_rate")
+KALMAN, H_INFINITY, HUBER, FADING = range(4)
 ACCELERATION = TuningParameter("acceleration", 1e-3, 1e3)
-
-
-@kernel
-def start(f, y, c):
-    """Begin at the first measurement, at rest."""
-    f.torque, f.torque_rate = y, 0.0
-    f.P00, f.P01, f.P11 = c.V, 0.0, c.rate_variance
+_NO_SOLUTION = 2  # status: no H∞ filter attains γ
+_TOLERANCE, _MOST = 1e-9, 50  # of Huber's iterations
+_NOTHING_YET = -1.0  # squared innovation expected by a fading filter before its first
 
 
 @kernel
@@ -45,17 +41,6 @@ def predict(f, h, q):
     f.P00 += h * (2.0 * f.P01 + h * f.P11) + q * h**3 / 3.0
     f.P01 += h * f.P11 + q * h**2 / 2.0
     f.P11 += q * h
-
-
-@kernel
-def innovation(m, s, p, c):
-    """Start at the first sample, else predict a record of `MEMORY`; return the innovation [N·m]."""
-    f, y = m.filter, measure(m.torsion, s, p).torque
-    if s.interval == 0.0:
-        start(f, y, c)
-        return 0.0
-    predict(f, s.interval, c.q)
-    return y - f.torque
 
 
 @kernel
@@ -69,48 +54,6 @@ def correct(f, e, V):
     f.P01 *= 1.0 - k0
     f.P00 *= 1.0 - k0
     return S
-
-
-@kernel
-def write_out(f, e, S, o):
-    """Write the outputs; return the status."""
-    o.torque, o.variance, o.innovation, o.innovation_variance, o.torque_rate = f.torque, f.P00, e, S, f.torque_rate
-    return OK if math.isfinite(f.torque + f.P00) else NOT_FINITE
-
-
-@step_of(MEMORY, SETTINGS, OUT)
-def _step(m, s, p, c, o):
-    e = innovation(m, s, p, c)
-    S = correct(m.filter, e, c.V) if s.interval != 0.0 else 0.0
-    return write_out(m.filter, e, S, o)
-
-
-@dataclass(frozen=True)
-class TorqueFilter(CausalEstimator):
-    """The standard Kalman filter, and the base of the others."""
-
-    name: str = "kalman"
-    # intensity √q of the torque's second derivative [T2/s² per √Hz]. The steady filter's natural frequency is
-    # (q/(V·h))^(1/4): with 10·12 N·m and V = 0.05² at 1 kHz, 274 rad/s.
-    acceleration: float = 10.0
-    rate: float = 1.0  # standard deviation of the first rate [T2/s]
-    tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION,)
-    description: ClassVar[str] = "Kalman filter of the compliance model's torque and its rate (Bar-Shalom et al. 2001)"
-    reads_command: ClassVar[bool] = True
-    compiled: ClassVar[Step] = _step
-
-    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
-        scale, V = float(joint.p["T2"]), torque_variance(joint)
-        own = self._own(V)
-        return np.array([((self.acceleration * scale) ** 2, V, (self.rate * scale) ** 2, *own)], SETTINGS)
-
-    def _own(self, V: float) -> tuple[float, float]:
-        return 0.0, 0.0
-
-
-# --- H∞ --------------------------------------------------------------------------------------------------------------
-
-_NO_SOLUTION = 2
 
 
 @kernel
@@ -129,50 +72,6 @@ def correct_h_infinity(f, e, V, theta):
     f.torque_rate += f.P01 / V * e
     before = 1.0 - theta * p00
     return V + p00 / before if before > 0.0 else np.inf
-
-
-@step_of(MEMORY, SETTINGS, OUT)
-def _h_infinity_step(m, s, p, c, o):
-    e = innovation(m, s, p, c)
-    S = correct_h_infinity(m.filter, e, c.V, c.first) if s.interval != 0.0 else 0.0
-    if S < 0.0:
-        return _NO_SOLUTION
-    return write_out(m.filter, e, S, o)
-
-
-@dataclass(frozen=True)
-class HInfinity(TorqueFilter):
-    """Fixed-γ H∞ filter in Simon's form on the constant-rate torque model ("Optimal State Estimation", 2006, Eq. 11.89).
-
-        K = P (I − θ S̄ P + HᵀV⁻¹H P)⁻¹ HᵀV⁻¹      x⁺ = x + K (y − H x)      P⁺ = P (I − θ S̄ P + HᵀV⁻¹H P)⁻¹
-
-    with S̄ = diag(1, 0), which weights the torque, and θ = γ⁻². A solution exists while P⁻¹ − θ S̄ + HᵀV⁻¹H > 0.
-
-    The paper's robust EKF, Eq. (18), is Σ = (P⁻¹ − γ⁻² LᵀL)⁻¹ followed by a Kalman update: for S̄ = LᵀL the *same
-    recursion*, P⁺⁻¹ = Σ⁻¹ + HᵀV⁻¹H. The condition differs: Eq. (18) needs P⁻¹ > γ⁻² LᵀL before the measurement. So does
-    the model: two states instead of one. A test runs both.
-    """
-
-    name: str = "h_infinity"
-    # attenuation γ in standard deviations of the measurement [√V]; infinity is the Kalman filter. Near 1 the gain is
-    # near 1, too, and the filter returns the measurement.
-    gamma: float = 2.0
-    tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION, TuningParameter("gamma", 1.05, 100.0))
-    description: ClassVar[str] = "H∞ filter of the compliance model's torque and its rate (Simon 2006)"
-    compiled: ClassVar[Step] = _h_infinity_step
-
-    def _own(self, V: float) -> tuple[float, float]:
-        return 1.0 / (self.gamma**2 * V), 0.0
-
-    def reason(self, status: int, out: np.ndarray) -> str:
-        if status == _NO_SOLUTION:
-            return "γ is too small: no H∞ filter attains it"
-        return super().reason(status, out)
-
-
-# --- Huber -----------------------------------------------------------------------------------------------------------
-
-_TOLERANCE, _MOST = 1e-9, 50
 
 
 @kernel
@@ -201,11 +100,98 @@ def correct_huber(f, e, V, k, tolerance, most):
     return a00 * a00 / prior + V / weight
 
 
+@kernel
+def predict_fading(f, y, V0, h, c):
+    """Predict with the fading factor; returns the innovation [N·m] and V₀."""
+    f.torque += h * f.torque_rate
+    e = y - f.torque
+    rho, beta = c.first, c.second
+    V0 = e**2 if V0 == _NOTHING_YET else (rho * V0 + e**2) / (1.0 + rho)
+    f.P00 += h * (2.0 * f.P01 + h * f.P11)
+    f.P01 += h * f.P11
+    fade = max(1.0, (V0 - c.q * h**3 / 3.0 - beta * c.V) / f.P00)
+    f.P00 = fade * f.P00 + c.q * h**3 / 3.0
+    f.P01 = fade * f.P01 + c.q * h**2 / 2.0
+    f.P11 = fade * f.P11 + c.q * h
+    return e, V0
+
+
 @step_of(MEMORY, SETTINGS, OUT)
-def _huber_step(m, s, p, c, o):
-    e = innovation(m, s, p, c)
-    S = correct_huber(m.filter, e, c.V, c.first, _TOLERANCE, _MOST) if s.interval != 0.0 else 0.0
-    return write_out(m.filter, e, S, o)
+def _step(m, s, p, c, o):
+    f, y, e, S = m.filter, measure(m.torsion, s, p).torque, 0.0, 0.0
+    if s.interval == 0.0:  # at rest
+        f.torque, f.torque_rate, m.expected = y, 0.0, _NOTHING_YET
+        f.P00, f.P01, f.P11 = c.V, 0.0, c.rate_variance
+    elif c.rule == FADING:
+        e, m.expected = predict_fading(f, y, m.expected, s.interval, c)
+        S = correct(f, e, c.V)
+    else:
+        predict(f, s.interval, c.q)
+        e = y - f.torque
+        if c.rule == H_INFINITY:
+            S = correct_h_infinity(f, e, c.V, c.first)
+        elif c.rule == HUBER:
+            S = correct_huber(f, e, c.V, c.first, _TOLERANCE, _MOST)
+        else:
+            S = correct(f, e, c.V)
+    if S < 0.0:
+        return _NO_SOLUTION
+    o.torque, o.variance, o.innovation, o.innovation_variance, o.torque_rate = f.torque, f.P00, e, S, f.torque_rate
+    return OK if math.isfinite(f.torque + f.P00) else NOT_FINITE
+
+
+@dataclass(frozen=True)
+class TorqueFilter(CausalEstimator):
+    """The standard Kalman filter, and the base of the others."""
+
+    name: str = "kalman"
+    # intensity √q of the torque's second derivative [T2/s² per √Hz]. The steady filter's natural frequency is
+    # (q/(V·h))^(1/4): with 10·12 N·m and V = 0.05² at 1 kHz, 274 rad/s.
+    acceleration: float = 10.0
+    rate: float = 1.0  # standard deviation of the first rate [T2/s]
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION,)
+    description: ClassVar[str] = "Kalman filter of the compliance model's torque and its rate (Bar-Shalom et al. 2001)"
+    reads_command: ClassVar[bool] = True
+    rule: ClassVar[int] = KALMAN
+    compiled: ClassVar[Step] = _step
+
+    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        scale, V = float(joint.p["T2"]), torque_variance(joint)
+        q, rate_variance = (self.acceleration * scale) ** 2, (self.rate * scale) ** 2
+        return np.array([(self.rule, q, V, rate_variance, *self._own(V))], SETTINGS)
+
+    def _own(self, V: float) -> tuple[float, float]:
+        return 0.0, 0.0
+
+
+@dataclass(frozen=True)
+class HInfinity(TorqueFilter):
+    """Fixed-γ H∞ filter in Simon's form on the constant-rate torque model ("Optimal State Estimation", 2006, Eq. 11.89).
+
+        K = P (I − θ S̄ P + HᵀV⁻¹H P)⁻¹ HᵀV⁻¹      x⁺ = x + K (y − H x)      P⁺ = P (I − θ S̄ P + HᵀV⁻¹H P)⁻¹
+
+    with S̄ = diag(1, 0), which weights the torque, and θ = γ⁻². A solution exists while P⁻¹ − θ S̄ + HᵀV⁻¹H > 0.
+
+    The paper's robust EKF, Eq. (18), is Σ = (P⁻¹ − γ⁻² LᵀL)⁻¹ followed by a Kalman update: for S̄ = LᵀL the *same
+    recursion*, P⁺⁻¹ = Σ⁻¹ + HᵀV⁻¹H. The condition differs: Eq. (18) needs P⁻¹ > γ⁻² LᵀL before the measurement. So does
+    the model: two states instead of one. A test runs both.
+    """
+
+    name: str = "h_infinity"
+    # attenuation γ in standard deviations of the measurement [√V]; infinity is the Kalman filter. Near 1 the gain is
+    # near 1, too, and the filter returns the measurement.
+    gamma: float = 2.0
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION, TuningParameter("gamma", 1.05, 100.0))
+    description: ClassVar[str] = "H∞ filter of the compliance model's torque and its rate (Simon 2006)"
+    rule: ClassVar[int] = H_INFINITY
+
+    def _own(self, V: float) -> tuple[float, float]:
+        return 1.0 / (self.gamma**2 * V), 0.0
+
+    def reason(self, status: int, out: np.ndarray) -> str:
+        if status == _NO_SOLUTION:
+            return "γ is too small: no H∞ filter attains it"
+        return super().reason(status, out)
 
 
 @dataclass(frozen=True)
@@ -228,44 +214,10 @@ class Huber(TorqueFilter):
     k: float = 1.345
     tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION, TuningParameter("k", 0.3, 10.0))
     description: ClassVar[str] = "Kalman filter with Huber's loss instead of the square (Karlgaard & Schaub 2007)"
-    compiled: ClassVar[Step] = _huber_step
+    rule: ClassVar[int] = HUBER
 
     def _own(self, V: float) -> tuple[float, float]:
         return self.k, 0.0
-
-
-# --- Strong tracking -------------------------------------------------------------------------------------------------
-
-_NOTHING_YET = -1.0
-
-
-@kernel
-def predict_fading(f, y, V0, h, c):
-    """Predict with the fading factor; returns the innovation [N·m] and V₀."""
-    f.torque += h * f.torque_rate
-    e = y - f.torque
-    rho, beta = c.first, c.second
-    V0 = e**2 if V0 == _NOTHING_YET else (rho * V0 + e**2) / (1.0 + rho)
-    f.P00 += h * (2.0 * f.P01 + h * f.P11)
-    f.P01 += h * f.P11
-    fade = max(1.0, (V0 - c.q * h**3 / 3.0 - beta * c.V) / f.P00)
-    f.P00 = fade * f.P00 + c.q * h**3 / 3.0
-    f.P01 = fade * f.P01 + c.q * h**2 / 2.0
-    f.P11 = fade * f.P11 + c.q * h
-    return e, V0
-
-
-@step_of(MEMORY, SETTINGS, OUT)
-def _strong_tracking_step(m, s, p, c, o):
-    y = measure(m.torsion, s, p).torque
-    f, e, S = m.filter, 0.0, 0.0
-    if s.interval == 0.0:
-        start(f, y, c)
-        m.expected = _NOTHING_YET
-    else:
-        e, m.expected = predict_fading(f, y, m.expected, s.interval, c)
-        S = correct(f, e, c.V)
-    return write_out(f, e, S, o)
 
 
 @dataclass(frozen=True)
@@ -291,7 +243,7 @@ class StrongTracking(TorqueFilter):
     description: ClassVar[str] = (
         "strong tracking filter: its covariance fades when the torque jumps (Zhou & Frank 1996)"
     )
-    compiled: ClassVar[Step] = _strong_tracking_step
+    rule: ClassVar[int] = FADING
 
     def _own(self, V: float) -> tuple[float, float]:
         return self.forget, self.soften

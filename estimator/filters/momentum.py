@@ -38,9 +38,8 @@ from ...models.kernels import kernel
 from ...models.parameters import floats
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, TuningParameter
 from ..sensing import arm_torque, motor_current, temperature
-from ..tuning_parameters import TuningParameter
 
 OBSERVER = floats(
     "motor_position", "link_position", "motor_velocity", "link_velocity", "bristle", "drive_sum", "link_sum", "drive_residual",
@@ -48,7 +47,7 @@ OBSERVER = floats(
 )  # fmt: skip
 """Memory of both observers: corrected angles and velocities, sums ∫ (known + r) dt, residuals r, joint torque Ts."""
 MEMORY = floats(("torsion", TORSION), ("observer", OBSERVER), "weight", "offset")
-SETTINGS = floats("gain", "cutoff", "turning", "smoothing", "follow")
+SETTINGS = floats("gain", "cutoff", "turning", "smoothing", "follow")  # turning 0: without the torsion
 OUT = floats("torque", "external_torque", "joint_torque_observed", "motor_velocity", "link_velocity", "bristle")
 
 
@@ -83,30 +82,19 @@ def observe(m, s, found, c, p):
     m.link_sum += h * m.link_residual
 
 
-@kernel
-def write_out(m, torque, o):
-    """Write the outputs of a record of `OBSERVER`; return the status."""
-    o.torque, o.external_torque, o.joint_torque_observed = torque, m.link_residual - torque, m.joint_torque
-    o.motor_velocity, o.link_velocity, o.bristle = m.motor_velocity, m.link_velocity, m.bristle
-    return OK if math.isfinite(torque + m.link_residual) else NOT_FINITE
-
-
 @step_of(MEMORY, SETTINGS, OUT)
-def _observer_step(m, s, p, c, o):
-    observe(m.observer, s, measure(m.torsion, s, p), c, p)
-    return write_out(m.observer, m.observer.joint_torque, o)
-
-
-@step_of(MEMORY, SETTINGS, OUT)
-def _combined_step(m, s, p, c, o):
-    h = s.interval
-    found = measure(m.torsion, s, p)
-    observe(m.observer, s, found, c, p)
-    w, observed = m.observer.motor_velocity, m.observer.joint_torque
-    m.weight += (1.0 - math.exp(-h / c.smoothing)) * (w**2 / (w**2 + c.turning**2) - m.weight)
-    m.offset += (1.0 - math.exp(-h * m.weight / c.follow)) * (observed - found.torque - m.offset)
-    torque = m.weight * observed + (1.0 - m.weight) * (found.torque + m.offset)
-    return write_out(m.observer, torque, o)
+def _step(m, s, p, c, o):
+    observer, h, found = m.observer, s.interval, measure(m.torsion, s, p)
+    observe(observer, s, found, c, p)
+    w, observed = observer.motor_velocity, observer.joint_torque
+    o.torque = observed
+    if c.turning > 0.0:  # combined with the torsion
+        m.weight += (1.0 - math.exp(-h / c.smoothing)) * (w**2 / (w**2 + c.turning**2) - m.weight)
+        m.offset += (1.0 - math.exp(-h * m.weight / c.follow)) * (observed - found.torque - m.offset)
+        o.torque = m.weight * observed + (1.0 - m.weight) * (found.torque + m.offset)
+    o.external_torque, o.joint_torque_observed = observer.link_residual - o.torque, observed
+    o.motor_velocity, o.link_velocity, o.bristle = w, observer.link_velocity, observer.bristle
+    return OK if math.isfinite(o.torque + observer.link_residual) else NOT_FINITE
 
 
 @dataclass(frozen=True)
@@ -120,10 +108,10 @@ class MomentumObserver(CausalEstimator):
         TuningParameter("bandwidth", 0.5, 200.0), TuningParameter("cutoff", 2.0, 400.0),
     )  # fmt: skip
     description: ClassVar[str] = "momentum observers of drive and link (De Luca & Mattone 2003, 2005)"
-    compiled: ClassVar[Step] = _observer_step
+    compiled: ClassVar[Step] = _step
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
-        found = np.ones(1, SETTINGS)
+        found = np.zeros(1, SETTINGS)
         found["gain"], found["cutoff"] = 2 * math.pi * self.bandwidth, 2 * math.pi * self.cutoff
         return found
 
@@ -141,7 +129,6 @@ class MomentumTorsion(MomentumObserver):
         TuningParameter("follow", 0.02, 100.0),
     )  # fmt: skip
     description: ClassVar[str] = "momentum observer while turning, torsion at rest (after Graabæk & Sloth 2025)"
-    compiled: ClassVar[Step] = _combined_step
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = super().settings(joint, interval)

@@ -41,20 +41,13 @@ from ...models.parameters import floats
 from ...models.step import Step, step_of
 from .. import recursion
 from ..compliance import TORSION, measure, measurement_variance, torque_variance
-from ..estimator import CausalEstimator, KnownJoint, SensorNoise
+from ..estimator import CausalEstimator, KnownJoint, SensorNoise, TuningParameter
 from ..recursion import ALPHAS, RULES, SETTINGS, STATE
-from ..tuning_parameters import TuningParameter
 
-_RANGES = {
-    # field: unit, lowest, may it be the lowest, may it be infinite
-    "gamma": ("N·m", 0.0, False, True),
-    "k": ("1/(N·m)²", 0.0, True, False),
-    "rho": ("1", 0.0, True, False),
-    "W": ("(N·m)² per step", 0.0, True, False),
-    "V": ("(N·m)²", 0.0, False, False),
-    "P0": ("(N·m)²", 0.0, True, False),
-    "L": ("1", 0.0, True, False),
-}
+_UNITS = {
+    "gamma": "N·m", "k": "1/(N·m)²", "rho": "1", "W": "(N·m)² per step", "V": "(N·m)²", "P0": "(N·m)²", "L": "1",
+}  # fmt: skip
+"""Units of the numbers, which are finite and ≥ 0: gamma and V are positive, gamma may be infinite."""
 _CHOICES = {
     "rule": tuple(RULES),
     "alpha": tuple(ALPHAS),
@@ -114,17 +107,16 @@ class PaperFilter(CausalEstimator):
             if value not in known:
                 hint = nearest(str(value), known)
                 raise InputError(f"{label}: {field}: expected one of {list(known)}, got {value!r}{hint}")
-        for field, (unit, lowest, inclusive, infinite) in _RANGES.items():
-            value = getattr(self, field)
+        for field, unit in _UNITS.items():
+            value, positive, infinite = getattr(self, field), field in ("gamma", "V"), field == "gamma"
             try:
                 if isinstance(value, (bool, str)):
                     raise TypeError
                 number = float(value)
             except (TypeError, ValueError):
                 raise InputError(f"{label}: {field} [{unit}]: expected a number, got {value!r}") from None
-            good = number >= lowest if inclusive else number > lowest
-            if not good or (math.isinf(number) and not infinite):
-                wanted = f"a {'' if infinite else 'finite '}number {'≥' if inclusive else '>'} {lowest:g}"
+            if not (number > 0.0 if positive else number >= 0.0) or (math.isinf(number) and not infinite):
+                wanted = f"a {'' if infinite else 'finite '}number {'>' if positive else '≥'} 0"
                 raise InputError(f"{label}: {field} [{unit}]: expected {wanted}, got {value!r}")
             object.__setattr__(self, field, number)
         if not isinstance(self.name, str):

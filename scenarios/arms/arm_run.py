@@ -38,46 +38,37 @@ def run_arm(
     Estimators know the payload of a joint with the others at the median of their commands. The effect of the others'
     motion is external torque for them. The recordings include it: the arm's links and the other encoders' angles.
 
-    Args:
-      folder: of the scenario's file, to which paths of joints and model are relative.
-      threads: filters at a time; the result does not depend on it.
-      records: parameters of other plants, such as with hidden effects, by the joint's name, shape (1,) each.
-
-    Raises:
-      InputError, FilterDiverged: as `run.run_scenario`.
-
-    Warns:
-      InputWarning: actuators, damping or friction of the model's driven hinges, which are not used.
+    `folder`: of the scenario's file, to which paths of joints and model are relative; `threads`: filters at a time, the
+    result does not depend on it; `records`: parameters of other plants, such as with hidden effects, by the joint's name,
+    shape (1,) each. Raises as `run.run_scenario`. Warns of actuators, damping or friction of the model's driven hinges,
+    which are not used (`InputWarning`).
     """
-    alone = [Experiment.of(joint, folder) for joint in scenario.arm]
-    alone = [replace(e, record=(records or {}).get(e.scenario.name, e.record)) for e in alone]
-    names, unused = [joint.name for joint in scenario.arm], ""
-    joints = [
-        ArmJoint(one.name, e.joint, e.record, one.length, one.turn) for one, e in zip(scenario.arm, alone, strict=True)
-    ]
+    alone = {joint.name: Experiment.of(joint, folder) for joint in scenario.arm}
+    alone = {name: replace(e, record=(records or {}).get(name, e.record)) for name, e in alone.items()}
+    names, both, unused = list(alone), list(zip(scenario.arm, alone.values(), strict=True)), ""
+    joints = [ArmJoint(one.name, e.joint, e.record, one.length, one.turn) for one, e in both]
     if scenario.model is None:
-        bolted = [scenario_of.mount(e.known_joint) for scenario_of, e in zip(scenario.arm, alone, strict=True)]
+        bolted = [one.mount(e.known_joint) for one, e in both]
         mjcf = plant.rigid([replace(one, record=_links(load)) for one, load in zip(joints, bolted, strict=True)])
         build = partial(plant.build, joints, scenario.timestep, payloads=scenario.payloads)
     else:
         mjcf, unused = scenario.masses(folder)
         build = partial(plant.on_hinges, mjcf, joints, scenario.timestep, scenario.payloads)
     middle = {
-        name: float(np.median(e.command)) if e.scenario.mode == "position" else e.start
-        for name, e in zip(names, alone, strict=True)
+        name: float(np.median(e.command)) if e.scenario.mode == "position" else e.start for name, e in alone.items()
     }
     experiments = []
-    for name, e in zip(names, alone, strict=True):
+    for name, e in alone.items():
         others = {other: angle for other, angle in middle.items() if other != name}
         link = Arm(ArmSpec(model=_MJCF, joint=name), mjcf).mounting(others)
         own = _alone(scenario, e.scenario).model_copy(update={"link": link, "mounting": ""})
         described = KnownJoint.of(e.known_joint, link)
         experiments.append(replace(e, scenario=own, known=described))
-    times = pickups(scenario.payloads, alone[0].scenario.time)
+    times = pickups(scenario.payloads, experiments[0].scenario.time)
     changes = [Change(tick, build(carried=carried)) for tick, carried in times]
     driven = [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)]
     loop = ClosedLoop(build(carried=[False] * len(scenario.payloads)), driven, changes)
-    loop.advance(len(alone[0].command))
+    loop.advance(len(experiments[0].command))
     for i, e in enumerate(experiments):
         e.check(loop, place=i)
     done = [e.completed(found) for e, found in zip(experiments, loop.simulations, strict=True)]

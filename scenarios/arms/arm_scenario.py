@@ -148,6 +148,10 @@ class ArmScenario(Strict):
             arm[int(place)] = arm[int(place)].with_joints({name: one})
         return self.model_copy(update={"arm": arm})
 
+    def in_folder(self, folder: Path) -> ArmScenario:
+        """Return the scenario with absolute paths of its motions' files, which were relative to a folder."""
+        return self.model_copy(update={"arm": [joint.in_folder(folder) for joint in self.arm]})
+
     def written(self, stated: bool = False) -> dict[str, Any]:
         """Return plain data, as in a file, with the common keys once; `stated`: without defaults."""
         data = self.model_dump(mode="json", exclude_none=True, exclude_unset=stated)
@@ -187,13 +191,8 @@ def load_any(
     its file. Keys of an arm's joints are `arm.0.joint`, counted from the base. Raises `InputError`: an unknown or wrong
     scenario."""
     data, path = read_scenario(source, changes, seed)
-    if "arm" in data:
-        return _placed(parse_changed(data, ArmScenario, path, changes), path.parent), path
-    return parse_changed(data, Scenario, path, changes).in_folder(path.parent), path
-
-
-def _placed(scenario: ArmScenario, folder: Path) -> ArmScenario:
-    return scenario.model_copy(update={"arm": [joint.in_folder(folder) for joint in scenario.arm]})
+    model: type[Scenario | ArmScenario] = ArmScenario if "arm" in data else Scenario
+    return parse_changed(data, model, path, changes).in_folder(path.parent), path
 
 
 def load_arm(
@@ -205,7 +204,7 @@ def load_arm(
     put_all(data, changes or {}, str(path))
     if "arm" not in data:
         raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a single joint")
-    return _placed(parse(data, ArmScenario, str(path) if changes else path), path.parent), path.parent
+    return parse(data, ArmScenario, str(path) if changes else path).in_folder(path.parent), path.parent
 
 
 def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | None = None) -> ArmScenario:

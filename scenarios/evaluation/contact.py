@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,15 +24,14 @@ from typing import Any
 import numpy as np
 from scipy.special import expit
 
-from ...estimator.errors import FilterDiverged
-from ...estimator.estimator import Estimator, KnownJoint
+from ...estimator.estimator import Estimator
 from ...estimator.external import external_torque
-from ...models.errors import InputError
+from ...models.errors import FilterDiverged, InputError
 from ...models.notebook import shortened
-from ...models.signals import Signals
-from ...sim.loop import CONTROL_PERIOD, Simulation
+from ...sim.loop import CONTROL_PERIOD
 from ...sim.sensors import stream
-from ..experiment import Experiment, signals_of
+from ..experiment import Experiment
+from ..run import Run, run_of
 from ..scenario import Disturbance, Scenario
 from .draws import drawn_record, known_within, varied
 from .metrics import finite
@@ -222,25 +221,6 @@ def pushes(scenario: Scenario, seed: int) -> list[Disturbance]:
     return found
 
 
-def external(
-    name: str, estimator: Estimator | None, signals: Signals, reading: np.ndarray, known: KnownJoint
-) -> tuple[dict[str, np.ndarray], str | None]:
-    """Return an estimator's external torques [N·m], shape (n,), by name, and the reason if it is not to be trusted.
-
-    These are its own external torque, if it has one, and that of the link's observer with its joint torque. Without an
-    estimator it is the torque sensor's `reading`, shape (n,) [N·m]. Raises `FilterDiverged`: the estimate is no longer
-    finite.
-    """
-    if estimator is None:
-        p = known.p
-        torque = (reading - p["torque_offset"] - p["torque_rate"] * known.since(signals.time)) / p["torque_gain"]
-        return {name: external_torque(signals, torque, known)}, None
-    found = estimator.estimate(signals, known)
-    by_link = external_torque(signals, found.mean, known)
-    own = {name: by_link} if found.external is None else {name: found.external, f"{name}{BY_LINK}": by_link}
-    return own, found.untrusted
-
-
 @dataclass(frozen=True)
 class ContactStudy:
     """Collision detectors on the external torque of estimators, at the same number of false alarms.
@@ -361,62 +341,55 @@ def assess(
     scenario = scenario.model_copy(update={"disturbances": []})
     every: dict[str, Estimator | None] = {SENSOR: None, **estimators}
 
-    def one(index: int) -> tuple[dict[str, list[np.ndarray]], dict[str, str]]:
+    def one(index: int) -> dict[str, tuple[bool, str | None, list[list[np.ndarray]]]]:
         quiet = _simulated(scenario, folder, 2 * index + 1, tolerance, [])
         chosen = pushes(scenario, 2 * index + 2)
         touched = _simulated(scenario, folder, 2 * index + 2, tolerance, chosen)
-        found, untrusted = {}, {}
+        found = {}
         for name, each in every.items():
-            (silent, why), (heard, _) = _heard(name, each, *quiet), _heard(name, each, *touched)
-            if why is not None:
-                untrusted[name] = why
-            for label in silent.keys() | heard.keys():
-                a, b = (x.get(label, x.get(name)) for x in (silent, heard))
-                assert a is not None and b is not None
-                found[label] = [_seconds(a, scenario), *_around(b, chosen)]
+            (silent, why), (heard, _) = _heard(each, quiet), _heard(each, touched)
+            rows = [[_seconds(silent[i], scenario), *_around(heard[i], chosen)] for i in (0, -1)]
+            found[name] = len(silent) + len(heard) > 2, why, rows
         progress()
-        return found, untrusted
+        return found
 
     with ThreadPoolExecutor(threads, thread_name_prefix="contact") as pool:
-        done, doubts = zip(*pool.map(one, range(runs_of(scenario, hours))), strict=True)
-    labels = [label for name in every for label in (name, f"{name}{BY_LINK}") if any(label in d for d in done)]
+        done = list(pool.map(one, range(runs_of(scenario, hours))))
     detectors = []
-    for label in labels:
-        quiet, size, before, rising = (
-            np.array([d.get(label, d.get(_plain(label), []))[i] for d in done]) for i in range(4)
-        )
-        untrusted = tuple(why[_plain(label)] for why in doubts if _plain(label) in why)
-        detectors.append(Detector(label, quiet, size, before, rising, untrusted))
+    for name in every:
+        own, why, rows = zip(*(d[name] for d in done), strict=True)
+        untrusted = tuple(reason for reason in why if reason is not None)
+        for i, label in enumerate((name, f"{name}{BY_LINK}") if any(own) else (name,)):
+            arrays = (np.array(column) for column in zip(*(row[i] for row in rows), strict=True))
+            detectors.append(Detector(label, *arrays, untrusted=untrusted))
     return detectors
-
-
-def _plain(label: str) -> str:
-    return label.removesuffix(BY_LINK)
-
-
-Ran = tuple[Simulation, KnownJoint]
 
 
 def _simulated(
     scenario: Scenario, folder: Path | None, seed: int, tolerance: float, pushed: Sequence[Disturbance]
-) -> Ran:
+) -> Run:
     chosen = varied(scenario, seed).model_copy(update={"disturbances": list(pushed)})
     experiment = Experiment.of(chosen, folder)
-    record = drawn_record(experiment, seed, tolerance, zero_known=True)
-    simulation = experiment.simulate(seed, record, experiment.build(record))
-    return simulation, known_within(experiment.known, tolerance, zero_known=True)
+    record, known = drawn_record(experiment, seed, tolerance, True), known_within(experiment.known, tolerance, True)
+    experiment = replace(experiment, record=record, known=known)
+    return run_of(experiment, experiment.simulate())
 
 
-def _heard(
-    name: str, estimator: Estimator | None, simulation: Simulation, known: KnownJoint
-) -> tuple[dict[str, np.ndarray], str | None]:
-    """Return |external torque| [N·m], shape (n,), by name, infinite if it diverged; and the reason not to trust it."""
-    signals = signals_of(simulation)
+def _heard(estimator: Estimator | None, run: Run) -> tuple[list[np.ndarray], str | None]:
+    """Return |external torque| [N·m], shape (n,), and the reason if the estimate is not to be trusted: an estimator's
+    own, if it has one, and that of the link's observer with its joint torque, infinite if it diverged. Without an
+    estimator, the joint torque is the torque sensor's."""
+    signals, known, p = run.signals, run.known, run.known.p
+    if estimator is None:
+        reading = run.reading("joint_torque")
+        torque = (reading - p["torque_offset"] - p["torque_rate"] * known.since(signals.time)) / p["torque_gain"]
+        return [np.abs(external_torque(signals, torque, known))], None
     try:
-        found, untrusted = external(name, estimator, signals, simulation.readings["joint_torque"], known)
+        found = estimator.estimate(signals, known)
     except FilterDiverged:
-        return {name: np.full(len(signals.time), np.inf)}, None
-    return {label: np.abs(values) for label, values in found.items()}, untrusted
+        return [np.full(len(signals.time), np.inf)], None
+    own = [] if found.external is None else [np.abs(found.external)]
+    return [*own, np.abs(external_torque(signals, found.mean, known))], found.untrusted
 
 
 def _seconds(heard: np.ndarray, scenario: Scenario) -> np.ndarray:

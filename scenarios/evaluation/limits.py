@@ -13,11 +13,10 @@ import numpy as np
 from ...estimator import bound, consistency
 from ...estimator.compliance import measurement_variance
 from ...estimator.consistency import Mean
-from ...estimator.errors import FilterDiverged
 from ...estimator.estimator import Estimator, KnownJoint
 from ...estimator.joint_model import STATES
 from ...models.calibration import Calibration
-from ...models.errors import InputError
+from ...models.errors import FilterDiverged, InputError
 from ...models.joint import Joint
 from ...models.joint_parts import Mounting
 from ...models.parameters import PARAMETERS
@@ -111,16 +110,11 @@ def assess(
 ) -> Limits:
     """Run a scenario with every seed and compare estimators, by name, with the bounds.
 
-    Args:
-      intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario (root mean square over seeds),
-        and at least 0.001·T2, which means a load known to 1 % after 40 s.
-      tolerance: share of the joint's tolerances that are the prior of the second bound; 0 omits it.
-      progress: called after each seed.
-      vary: whether start, pace and pushes are drawn per seed (`draws.varied`). Seeds that change the sensors' noise alone are
-        not independent, and intervals over them are wrong.
-
-    Raises:
-      InputError: torque feedback, payloads, no seeds, or a joint whose bound is not defined.
+    `intensity`: of the external torque in the bound [N·m/√s]; by default fitted to the scenario (root mean square over
+    seeds), and at least 0.001·T2, which means a load known to 1 % after 40 s. `tolerance`: share of the joint's tolerances
+    that are the prior of the second bound; 0 omits it. `vary`: whether start, pace and pushes are drawn per seed
+    (`draws.varied`): seeds that change the sensors' noise alone are not independent. `progress`: called after each seed.
+    Raises `InputError`: torque feedback, payloads, no seeds, or a joint whose bound is not defined.
     """
     if len(seeds) == 0:
         raise InputError("bound: expected at least one seed, got none")
@@ -189,8 +183,9 @@ def joint_variance(run: Run, record: np.ndarray, intensity: float, others: np.nd
     """Return the bound of the error variance along a run's truth, shape (n,) [(N·m)²]; the arguments as of
     `bound.joint_bound`."""
     noise = KnownJoint.of(run.joint).noise
+    states, temperature = true_states(run), run.scenario.temperature.signal(run.time)
     current, command = run.truth("motor_current"), run.simulation.command
-    return bound.joint_bound(run.time, true_states(run), current, command, record, noise, intensity, others=others)
+    return bound.joint_bound(run.time, states, current, command, record, noise, intensity, temperature, others)
 
 
 def torsion_variance(run: Run, record: np.ndarray, intensity: float) -> np.ndarray:

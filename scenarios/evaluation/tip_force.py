@@ -14,14 +14,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...estimator.estimator import KnownJoint, Posterior
 from ...estimator.external import external_torque, lowpassed
 from ...models.parameters import GRAVITY
-from ...models.signals import Signals
-from ...sim.loop import Simulation
+from ...sim.plant import link_mass
+
+if TYPE_CHECKING:
+    from ..run import Run
 
 WRENCH = "wrench"  # name of the six-axis sensor's force
 _SEEN = 0.5  # share of the largest force above which its lever is computed
@@ -41,27 +43,24 @@ class TipForce:
         return {name: float(np.sqrt(np.mean((f - self.truth)[kept] ** 2))) for name, f in self.forces.items()}
 
 
-def tip_force(
-    simulation: Simulation,
-    signals: Signals,
-    known: KnownJoint,
-    mass: float,
-    truth: np.ndarray,
-    lever: float,
-    estimates: Mapping[str, Posterior],
-) -> TipForce:
-    """Estimate the force by the wrench and by every filter. `mass`: of the link [kg]; `truth`: the true force, shape
-    (n,) [N], at a known lever [m]."""
-    p, time = known.p, signals.time
+def tip_force(run: Run) -> TipForce | None:
+    """Estimate the force of a run by the wrench and by every filter; None without a recorded wrench or a common lever of
+    all forces."""
+    lever = run.scenario.lever
+    if lever is None:
+        return None
+    p, signals, truth = run.known.p, run.signals, run.scenario.tip_force()
+    mass, _ = link_mass(run.joint.record(run.scenario.mount(run.joint))[0])
+    time = signals.time
     angle = signals["link_position"] - p["link_zero"]
     acceleration = lowpassed(time, angle, _CUTOFF)[:, 2]
     own = mass * GRAVITY * np.sin(angle + p["gravity_angle"]) + p["Mg"] / GRAVITY * acceleration
-    forces = {WRENCH: own - lowpassed(time, simulation.readings["force_x"], _CUTOFF)[:, 0]}
-    torque = external_torque(signals, -simulation.readings["torque_y"], known, _CUTOFF)
+    forces = {WRENCH: own - lowpassed(time, run.reading("force_x"), _CUTOFF)[:, 0]}
+    torque = external_torque(signals, -run.reading("torque_y"), run.known, _CUTOFF)
     largest = float(np.abs(truth).max())
     strong = (np.abs(forces[WRENCH]) > _SEEN * largest) & (largest > 0.0)
     at = float(np.median((torque / np.where(strong, forces[WRENCH], 1.0))[strong])) if strong.any() else math.nan
-    for name, one in estimates.items():
-        external = external_torque(signals, one.mean, known) if one.external is None else one.external
+    for name, one in run.estimates.items():
+        external = external_torque(signals, one.mean, run.known) if one.external is None else one.external
         forces[name] = external / lever
     return TipForce(truth, forces, at)

@@ -18,10 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.stats.qmc import Halton
 
-from ...estimator.errors import FilterDiverged
-from ...estimator.estimator import Estimator
-from ...estimator.tuning_parameters import value_of, with_values
-from ...models.errors import InputError
+from ...estimator.estimator import Estimator, value_of, with_values
+from ...models.errors import FilterDiverged, InputError
 from ...models.files import write_text, yaml_text
 from ...models.notebook import shortened
 from ..filters import FilterEntry
@@ -322,13 +320,9 @@ def tune_all(
 ) -> Tuning:
     """Tune estimators on the training seeds of scenarios, all together, and evaluate them on the test seeds.
 
-    Args:
-      evaluations, threads: as of `tune`; vary: as of `simulated`.
-      fronts: whether to sweep noise against delay on the test runs of the first scenario with pushes.
-      progress: called with the number of tuned estimators and the name of the next one.
-
-    Raises:
-      InputError: a seed in both; no seeds; a scenario with an estimate fed back.
+    `evaluations`, `threads`: as of `tune`; `vary`: as of `simulated`; `fronts`: whether to sweep noise against delay on
+    the test runs of the first scenario with pushes; `progress`: called with the number of tuned estimators and the name
+    of the next one. Raises `InputError`: a seed in both; no seeds; a scenario with an estimate fed back.
     """
     check_seeds(train, test)
     train_runs, test_runs = (simulated(scenarios, some, vary) for some in (train, test))

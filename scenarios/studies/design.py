@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from ...estimator import registry
-from ...estimator.estimator import Estimator
-from ...estimator.tuning_parameters import with_values
+from ...estimator.estimator import Estimator, with_values
 from ...models import causes, own_sensors
 from ...models.controller import Controller
 from ...models.errors import InputError
@@ -179,13 +178,11 @@ class Design:
 
         A joint within tolerance depends on study and seed only, motion and pushes also on the scenario.
         """
+        scenario = draws.of_seed(experiment.scenario, self.noise_seed(cell, seed), self.study.vary)
+        experiment = replace(experiment, scenario=scenario)
         if self.study.vary:
-            scenario = draws.varied(experiment.scenario, self.noise_seed(cell, seed))
             command, rate = scenario.commands()
-            experiment = replace(
-                experiment, scenario=scenario, command=command, rate=rate,
-                external_torque=scenario.external_torque(),
-            )  # fmt: skip
+            experiment = replace(experiment, command=command, rate=rate, external_torque=scenario.external_torque())
         record = None
         for axis in self.study.axes:
             if isinstance(axis, ToleranceAxis):
@@ -193,7 +190,8 @@ class Design:
                 record = draws.drawn_record(experiment, _mixed(self.study.seed, seed), tolerance, axis.zero_known)
                 experiment = replace(experiment, known=draws.known_within(experiment.known, tolerance, axis.zero_known))
         hidden = self.hidden(cell, seed, experiment.record if record is None else record)
-        return experiment, record if hidden is None else hidden
+        record = record if hidden is None else hidden
+        return experiment if record is None else replace(experiment, record=record), record
 
     def hidden(self, cell: Cell, seed: int, record: np.ndarray) -> np.ndarray | None:
         """Return the plant's record with the cell's cause, shape (1,); None without a cause."""

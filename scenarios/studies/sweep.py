@@ -13,22 +13,24 @@ import threading
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pyarrow as pa
 
-from ...estimator import registry
-from ...estimator.errors import FilterDiverged
-from ...models.errors import InputError
-from ..experiment import Experiment, signals_of
-from ..run import reference_of
+from ...models import plugins
+from ...models.errors import FilterDiverged, InputError
+from ..experiment import Experiment
+from ..run import run_of
 from ..run_folder import versions
 from .dataset import Chunk, Dataset
-from .design import Cell, Design
+from .design import Design
 
 _LARGEST_CHUNK = 16
+_ATTEMPTS = 20  # workers of a cluster that may be lost with a chunk before the sweep ends
+_PATIENCE = 20  # s
 Done = Generator[tuple[Chunk, pa.Table], None, None]  # chunks with their rows, as they finish
 
 
@@ -44,8 +46,7 @@ def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -
             return None
         seed = design.study.seed_list[run]
         drawn, record = design.drawn(cell, seed, experiment)
-        plant = model if record is None else drawn.build(record)
-        found = results(design, cell, seed, drawn, record, plant)
+        found = results(design, drawn, model if record is None else drawn.build())
         head: dict[str, Any] = {"run": run, "seed": seed, "key": design.key(cell, seed), **cell.columns}
         for variant, result in zip(design.variants, found, strict=True):
             rows.append(head | variant.columns | {"filter": variant.name} | result)
@@ -68,21 +69,17 @@ def schema(design: Design) -> pa.Schema:
     )
 
 
-def results(
-    design: Design, cell: Cell, seed: int, experiment: Experiment, record: np.ndarray | None, model: mujoco.MjModel
-) -> list[dict[str, Any]]:
+def results(design: Design, experiment: Experiment, model: mujoco.MjModel) -> list[dict[str, Any]]:
     """Simulate once; return for every variant its metrics and `failure`, the reason if it has none."""
     try:
-        simulation = experiment.simulate(design.noise_seed(cell, seed), record, model)
-        signals = signals_of(simulation)
-        raw = registry.get("model").estimate(signals, experiment.known).mean
+        one = run_of(experiment, experiment.simulate(model))
+        reference = one.reference
     except (InputError, FilterDiverged) as error:
         return [{"failure": str(error)}] * len(design.variants)
-    reference = reference_of(simulation, raw, experiment.external_torque, experiment.scenario.transient)
     found: list[dict[str, Any]] = []
     for variant in design.variants:
         try:
-            posterior = variant.estimator.estimate(signals, experiment.known)
+            posterior = variant.estimator.estimate(one.signals, one.known)
         except (InputError, FilterDiverged) as error:
             found.append({"failure": str(error)})
             continue
@@ -92,12 +89,6 @@ def results(
         measured = reference.evaluate_posterior(posterior)
         found.append({"failure": ""} | {name: measured[name] for name in design.study.metrics})
     return found
-
-
-def chunk_size(design: Design, jobs: int) -> int:
-    """Return the runs per chunk: 16, or fewer to keep all jobs busy."""
-    per_job = math.ceil(design.runs / (4 * jobs))
-    return max(1, min(_LARGEST_CHUNK, per_job, len(design.study.seed_list)))
 
 
 def on_threads(design: Design, chunks: Iterator[Chunk], jobs: int) -> Done:
@@ -120,6 +111,63 @@ def on_threads(design: Design, chunks: Iterator[Chunk], jobs: int) -> Done:
                 future.cancel()
 
 
+def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
+    """Yield chunks with their rows as they finish, on the workers of a Dask cluster; lost workers only cost time. They
+    need the same versions, and the files of joints, scenarios and plugins under the same paths. Raises `InputError`:
+    Dask is not installed, there is no scheduler at the address, or workers cannot compute."""
+    try:
+        from distributed import CancelledError, Client, KilledWorker, as_completed
+    except ImportError as error:
+        raise InputError("--scheduler: needs Dask; install flexspline[cluster]") from error
+    try:
+        client = Client(address, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: expected the address of a Dask scheduler, got none there") from error
+    try:
+        attempts: dict[Chunk, int] = {}
+        pending: dict[str, Chunk] = {}
+        finished = as_completed(loop=client.loop)
+
+        def submit(chunk: Chunk) -> None:
+            attempts[chunk] = attempts.get(chunk, 0) + 1
+            key = f"sweep-{design.digest[:12]}-{chunk.cell}-{chunk.begin}-{chunk.end}-{attempts[chunk]}"
+            future = client.submit(_compute, plugins.files(), design, chunk, key=key, pure=False)
+            pending[str(future.key)] = chunk
+            finished.add(future)
+
+        def fill() -> None:
+            threads: Any = client.nthreads()
+            wanted = 2 * max(1, sum(threads.values()))
+            for chunk in islice(chunks, max(0, wanted - len(pending))):
+                submit(chunk)
+
+        fill()
+        while pending:
+            future = next(finished)
+            chunk = pending.pop(str(future.key))
+            try:
+                table = future.result()
+            except (KilledWorker, CancelledError) as error:
+                if attempts[chunk] >= _ATTEMPTS:
+                    raise InputError(f"{address}: {chunk}: {attempts[chunk]} workers were lost with it") from error
+                submit(chunk)
+                continue
+            except ImportError as error:
+                raise InputError(f"{address}: expected workers with flexspline installed, got: {error}") from error
+            del attempts[chunk]
+            future.release()
+            yield chunk, table
+            fill()
+    finally:
+        client.close()
+
+
+def _compute(known: tuple[Path, ...], design: Design, chunk: Chunk) -> pa.Table | None:
+    for path in known:
+        plugins.load(path)
+    return compute(design, chunk)
+
+
 def sweep(
     design: Design,
     dataset: Dataset,
@@ -131,23 +179,14 @@ def sweep(
     """Compute the missing rows of a study's dataset and write them at once. It may be interrupted at any time, and
     called again.
 
-    Args:
-      jobs: threads; on a cluster, twice the cluster's threads are submitted.
-      chunk: runs per chunk and file; by default as many as keep all jobs busy.
-      scheduler: address of a Dask scheduler, to compute on its workers.
-      progress: called with the number of runs that have been written.
-
-    Raises:
-      InputError: no such scheduler; workers with other versions; another sweep in the same folder.
+    `jobs`: threads; `chunk`: runs per chunk and file, by default as many as keep all jobs busy; `scheduler`: address of a
+    Dask scheduler, to compute on its workers; `progress`: called with the number of runs that have been written. Raises
+    `InputError`: no such scheduler; workers with other versions; another sweep in the same folder.
     """
     with dataset.locked():
-        chunks = dataset.missing(chunk or chunk_size(design, jobs))
-        if scheduler is None:
-            done = on_threads(design, chunks, jobs)
-        else:
-            from .cluster import on_cluster
-
-            done = on_cluster(design, chunks, scheduler)
+        per_job = math.ceil(design.runs / (4 * jobs))
+        chunks = dataset.missing(chunk or max(1, min(_LARGEST_CHUNK, per_job, len(design.study.seed_list))))
+        done = on_cluster(design, chunks, scheduler) if scheduler else on_threads(design, chunks, jobs)
         ours = json.dumps(versions(), sort_keys=True).encode()
         try:
             for one, table in done:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from flexspline.estimator import recursion
-from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.filters.paper import PaperFilter
+from flexspline.models.errors import FilterDiverged
 from flexspline.models.kernels import kernel
 
 

@@ -13,9 +13,16 @@ import pytest
 from known_effects import JOINT, MOUNTING, simulate
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
-from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, go_on, sample_blocks
-from flexspline.estimator.tuning_parameters import TuningParameter, value_of, with_values
-from flexspline.models import plugins
+from flexspline.estimator.estimator import (
+    Posterior,
+    SensorNoise,
+    TuningParameter,
+    as_samples,
+    go_on,
+    value_of,
+    with_values,
+)
+from flexspline.models import chunks, plugins
 from flexspline.models.causes.base import put_discrepancy
 from flexspline.models.controller import Controller, control
 from flexspline.models.errors import InputError
@@ -184,7 +191,7 @@ def stepped(step, samples):
 def test_a_long_recording_is_read_in_blocks_without_a_difference(known, signals, monkeypatch):
     """Records of the whole, the command at every seam, and all outputs of the filters."""
     whole = as_samples(signals, (), known, True)
-    parts = list(sample_blocks(signals, (), known, True, 333))
+    parts = [(part, as_samples(signals, (), known, True, part)) for part in chunks.parts(2000, 333)]
     assert [p.start for p, _ in parts] == list(range(0, 2000, 333)) and parts[-1][0].stop == 2000
     assert np.concatenate([samples for _, samples in parts]).tobytes() == whole.tobytes()
     monkeypatch.setattr("flexspline.estimator.estimator.BLOCK", 333)

@@ -13,9 +13,9 @@ from matrix_filter import FilterModel, run
 
 from flexspline.diagnosis.data.importing import UNITS, Layout, import_recording
 from flexspline.estimator import PaperFilter, get, names
-from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.offline import estimate_recording
+from flexspline.models.errors import FilterDiverged
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Recording
 from flexspline.models.signals import CHANNELS, Signals

@@ -14,6 +14,7 @@ from flexspline.estimator import get, names, offline, smoothed
 from flexspline.estimator.bands import disagreement, reference_torque
 from flexspline.estimator.conditioning import condition
 from flexspline.estimator.estimator import KnownJoint
+from flexspline.estimator.filters.payload import MEMORY
 from flexspline.estimator.offline import (
     SHORTEST,
     WALKS,
@@ -24,7 +25,6 @@ from flexspline.estimator.offline import (
     track_zero,
     write_estimates,
 )
-from flexspline.estimator.payload_model import MEMORY
 from flexspline.estimator.scoring import score
 from flexspline.estimator.smoothed import bandwidth, white_noise
 from flexspline.models import dynamics, laws

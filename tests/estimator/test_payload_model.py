@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flexspline.estimator.payload_model import (
+from flexspline.estimator.filters.payload import (
     SIZE,
     Seen,
     external_torque,

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from flexspline.estimator import registry
-from flexspline.estimator.tuning_parameters import value_of, with_values
+from flexspline.estimator.estimator import value_of, with_values
 from flexspline.models.errors import InputError
 from flexspline.scenarios.experiment import Experiment, estimate, signals_of
 from flexspline.scenarios.filters import PAPER, FilterEntry, estimators, parameters_of

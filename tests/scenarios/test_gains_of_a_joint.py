@@ -13,7 +13,7 @@ from flexspline.scenarios.arms.arm_scenario import load_arm
 from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.scenarios.studies.swept import open_study
+from flexspline.scenarios.studies.statistics import open_study
 
 OWN = {"kp": 5.0, "kd": 0.06, "ki": 3.0}
 SHORT = {"duration": 3.0, "transient": 0.5, "filters": ["current"]}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -196,8 +198,9 @@ def test_temperature_reaches_the_plant_of_a_run_again():
         experiment = Experiment.of(chosen, folder)
         record = experiment.record.copy()
         record[0]["friction_temperature"] = -0.01
-        model = experiment.build(record)
-        first, second = (experiment.simulate(record=record, model=model) for _ in range(2))
+        experiment = replace(experiment, record=record)
+        model = experiment.build()
+        first, second = (experiment.simulate(model) for _ in range(2))
         assert first.truth.tobytes() == second.truth.tobytes()
         current[temperature] = np.mean(first.truth["motor_current"][8000:])
     cold, warm, warmed = current.values()

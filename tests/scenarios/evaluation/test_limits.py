@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from flexspline.estimator import bound
 from flexspline.estimator.joint_model import STATES
 from flexspline.models.errors import InputError
 from flexspline.scenarios.evaluation import limits
@@ -69,6 +70,18 @@ def test_intensity_is_fitted_and_never_silent():
     quiet, _ = scenario("duration=3", "disturbances=[]")
     found = limits.assess(quiet, folder, [1], {})
     assert found.fitted == 0.0 and found.intensity == pytest.approx(0.012)
+
+
+def test_the_bound_has_the_temperature_of_the_run():
+    chosen, folder = scenario("duration=2", "temperature=65")
+    run = simulate_scenario(chosen, folder, 1)
+    record = run.known.record.copy()
+    record["friction_temperature"] = -0.01
+    found = limits.joint_variance(run, record, 1.0)
+    command, current, warm = run.simulation.command, run.truth("motor_current"), np.full(len(run.time), 65.0)
+    given = run.time, limits.true_states(run), current, command, record, run.known.noise, 1.0
+    assert np.array_equal(found, bound.joint_bound(*given, warm))
+    assert not np.array_equal(found, bound.joint_bound(*given))
 
 
 @pytest.mark.slow

@@ -11,9 +11,8 @@ import pytest
 import yaml
 
 from flexspline.estimator import registry
-from flexspline.estimator.estimator import Estimator, Posterior
+from flexspline.estimator.estimator import Estimator, Posterior, TuningParameter
 from flexspline.estimator.filters.paper import PaperFilter
-from flexspline.estimator.tuning_parameters import TuningParameter
 from flexspline.models.errors import InputError
 from flexspline.models.signals import Signals
 from flexspline.scenarios.evaluation import tuning

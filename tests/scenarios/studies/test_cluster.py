@@ -90,9 +90,7 @@ def test_a_killed_worker_costs_nothing_but_time(cluster, tmp_path):
 
 def test_no_scheduler_there_is_one_line(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    from flexspline.scenarios.studies import cluster
-
-    monkeypatch.setattr(cluster, "_PATIENCE", 1)
+    monkeypatch.setattr("flexspline.scenarios.studies.sweep._PATIENCE", 1)
     design = Design.of(study())
     for address in ("tcp://127.0.0.1:9", "nowhere"):
         with pytest.raises(InputError) as caught:

@@ -14,8 +14,7 @@ from small import column, run, study
 from flexspline.models.files import yaml_text
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.scenarios.studies.statistics import aggregate, counterparts, interval, paired, write_csv
-from flexspline.scenarios.studies.swept import worst_runs
+from flexspline.scenarios.studies.statistics import aggregate, counterparts, interval, paired, worst_runs, write_csv
 from flexspline.views.sweep_tables import sign_of, sweep_rows
 
 
