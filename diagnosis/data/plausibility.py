@@ -53,6 +53,7 @@ class AgreementSettings:
     friction: tuple[float, float] = (0.2, 8.0)  # likewise
     viscous: tuple[float, float] = (0.0, 10.0)  # likewise
     scale: float = 1.5  # ratio of both numbers of a load to the described ones from which a torque has another scale
+    weight: float = 0.05  # gravity over rated torque, below which a torque without it looks the same
     noise: float = 0.04  # least ratio of a torque's residual to its spread
     suspicious: float = -0.15  # misfit below which channels disagree
     sharpest: float = 0.2  # least residual over the expected one that adds information
@@ -67,20 +68,13 @@ _CHANNELS = (*POSITIONS, "motor_current", "motor_torque", "joint_torque", "posit
 
 @dataclass(frozen=True)
 class SmoothedChannels:
-    """Smoothed channels of a recording.
+    """Smoothed channels of a recording."""
 
-    Attributes:
-      time: since the recording's start [s], shape (n,).
-      channels: value and two derivatives in time by name, shape (n, 3).
-      known_torque: on the link by an arm in motion [N·m], shape (n,); inertia: over that of the mounting [1], shape (n,).
-      steps: between neighbouring values of the positions, in their units.
-    """
-
-    time: np.ndarray
-    channels: Mapping[str, np.ndarray]
-    known_torque: np.ndarray
-    inertia: np.ndarray
-    steps: Mapping[str, float]
+    time: np.ndarray  # since the recording's start [s], shape (n,)
+    channels: Mapping[str, np.ndarray]  # value and two derivatives in time by name, shape (n, 3)
+    known_torque: np.ndarray  # on the link by an arm in motion [N·m], shape (n,)
+    inertia: np.ndarray  # over that of the mounting [1], shape (n,)
+    steps: Mapping[str, float]  # between neighbouring values of the positions, in their units
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels
@@ -212,27 +206,17 @@ class _Shape(NamedTuple):
 
 @dataclass(frozen=True)
 class RelationFit:
-    """A relation at its best coefficients.
+    """A relation at its best coefficients."""
 
-    Attributes:
-      agreement: log likelihood.
-      misfit: part of readings and priors per effective sample: 0 for an ideal fit, −0.6 for readings off by one `sigma`.
-      readings: part of readings and priors.
-      sharpness: part of residuals much smaller than expected.
-      at_bound: whether it needs a description that is wrong by more than a few times.
-      vague: whether the residual is not much smaller than expected.
-      rest: residual over the spread of the readings.
-      coefficients: of the shapes, in their order.
-    """
-
-    agreement: float
+    agreement: float  # log likelihood
+    # part of readings and priors per effective sample: 0 for an ideal fit, −0.6 for readings off by one `sigma`
     misfit: float
-    readings: float
-    sharpness: float
-    at_bound: bool
-    vague: bool
-    rest: float
-    coefficients: np.ndarray
+    readings: float  # part of readings and priors
+    sharpness: float  # part of residuals much smaller than expected
+    at_bound: bool  # whether it needs a description that is wrong by more than a few times
+    vague: bool  # whether the residual is not much smaller than expected
+    rest: float  # residual over the spread of the readings
+    coefficients: np.ndarray  # of the shapes, in their order
 
     @property
     def suspicious(self) -> bool:
@@ -290,6 +274,7 @@ class Plausibility:
         self.lighter = lighter
         self.pushed = recording.external == "unmeasured"
         self.rated = joint.numbers["rated_torque"].value
+        self.heavy = self.p["Mg"] > SETTINGS.weight * self.rated
         self._size = self.rated / SETTINGS.rated_torque
         self._payload = 4.5 * self._size
         number = joint.numbers["Kt"]
@@ -334,11 +319,6 @@ class Plausibility:
                 "gravity_angle": self.mounting.gravity_angle + math.atan2(across, along),
             }
         )
-
-    def load_ratios(self, motion: SmoothedChannels, name: str) -> tuple[float, float]:
-        """Return inertia (the rotor's included) and gravity moment that fit a torque channel best, over the described ones."""
-        inertia, along, across = self.torque(motion, name, free=True).coefficients[:3]
-        return float(inertia), math.hypot(along, across) / self.mounting.gravity_moment
 
     def unlike(self, load: Mounting) -> str:
         """Return in words the described numbers that are wrong by more than a few times if a load is correct; empty if none."""
