@@ -12,9 +12,11 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +44,7 @@ class LogForm:
 # Arrays -----------------------------------------------------------------------------------------------------------------------
 
 
-def _leaves(
-    value: Any, name: str = "", labels: Mapping[int, list[str]] | None = None
-) -> Iterator[tuple[str, np.ndarray]]:
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
     """Arrays in nested ones, with their names; what is neither is left out."""
     if isinstance(value, Mapping):
         if value and all(str(key).isdecimal() for key in value):  # a column by the numbers of its rows
@@ -66,18 +66,15 @@ def _leaves(
         some = [one for one in flat if one is not None]
         if some and all(isinstance(one, Mapping) for one in some):
             keys = dict.fromkeys(key for one in some for key in one)
-            yield from _leaves({key: [one.get(key) if one is not None else None for one in flat] for key in keys}, name)
+            yield from _leaves({key: [(one or {}).get(key) for one in flat] for key in keys}, name)
             return
-        if some and all(
-            isinstance(one, (list, tuple, np.ndarray)) or (isinstance(one, str) and elements(one)) for one in some
-        ):
+        if some and all(isinstance(one, (list, tuple, np.ndarray)) or elements(one) for one in some):
             found = [elements(one) if not _is_text(one) else list(one) for one in flat]
-            width = max(map(len, found))
+            width, text = max(map(len, found)), any(map(_is_text, some))
             if 0 < width <= _WIDEST and value.ndim == 1:
-                if any(_is_text(one) for one in some):
-                    yield name, np.array([(*one, *[""] * (width - len(one))) for one in found], dtype=str)
-                else:
-                    yield name, np.array([[*one, *[np.nan] * (width - len(one))] for one in found])
+                fill = "" if text else np.nan
+                rows = [[*one, *[fill] * (width - len(one))] for one in found]
+                yield name, np.array(rows, dtype=str if text else None)
             return
     yield name, value
 
@@ -127,10 +124,9 @@ class Arrays(Log):
             width = math.prod(leaf.shape[1:])
             if width > _WIDEST:
                 continue
-            narrow = width > 1
-            for at in np.ndindex(leaf.shape[1:]) if narrow else [()]:
-                key = "/".join([*([name] if name else []), *map(str, at)])
-                self._columns[key] = leaf[(slice(None), *at)] if narrow else leaf.ravel()
+            for at in np.ndindex(leaf.shape[1:]):
+                key = "/".join(filter(None, [name, *(map(str, at) if width > 1 else ())]))
+                self._columns[key] = leaf[(slice(None), *at)]
         self.names = list(self._columns)
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
@@ -261,16 +257,15 @@ def _json(source: Source, wanted: set[str], form: TextForm) -> Any:
         return _split_table(json.loads(text))
     except (ValueError, RecursionError) as error:
         lines = [line for line in text.splitlines() if line.strip()]
-        entries = []
+        entries, note = [], ""
         for i, line in enumerate(lines):
             try:
                 entries.append(json.loads(line))
             except (ValueError, RecursionError):
                 if i < len(lines) - 1 or i < 2:
                     raise ValueError(first_line(error)) from None
-        if len(entries) < len(lines):
-            return entries, "the last line is left out: it is incomplete"
-        return entries
+                note = "the last line is left out: it is incomplete"
+        return entries, note
 
 
 def _split_table(data: Any) -> Any:
@@ -286,7 +281,10 @@ def _split_table(data: Any) -> Any:
 def _arrow(source: Source, wanted: set[str], form: TextForm) -> Any:
     import pyarrow.feather as feather
 
-    table = feather.read_table(source)
+    return _arrow_columns(feather.read_table(source))
+
+
+def _arrow_columns(table: Any) -> dict[str, Any]:
     return {name: _arrow_column(table.column(name)) for name in table.column_names}
 
 
@@ -303,10 +301,10 @@ def _arrow_column(column: Any) -> Any:
     if pa.types.is_duration(kind) or pa.types.is_time(kind):
         ticks = column.cast(pa.time64("ns") if pa.types.is_time(kind) else pa.duration("ns"))
         return ticks.cast(pa.int64()).to_numpy().astype("timedelta64[ns]")
-    numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean)
-    if any(of_kind(kind) for of_kind in numeric):
-        whole = pa.types.is_integer(kind) and not column.null_count
-        return column.to_numpy() if whole else column.cast(pa.float64(), safe=False).to_numpy()
+    if pa.types.is_integer(kind) and not column.null_count:
+        return column.to_numpy()
+    if pa.types.is_primitive(kind) or pa.types.is_decimal(kind):  # numbers, also with empty cells, and booleans
+        return column.cast(pa.float64(), safe=False).to_numpy()
     if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
         flat = column.combine_chunks().flatten() if len(column) else []
         width = len(flat) // max(len(column), 1)
@@ -320,30 +318,22 @@ class _Parquet(Log):
     """A Parquet file: the names are those of its first rows, and what is read are the columns that are wanted."""
 
     def __init__(self, path: Path, source: Source):
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
         self.path = path
+        self._table: Arrays | None = None
         with reading_parquet(path):
             self._file = pq.ParquetFile(source)
-            first = next(self._file.iter_batches(1000), None)
-            if first is None:
-                first = self._file.schema_arrow.empty_table()
-            self._all = list(self._file.schema_arrow.names)
-            tree = self._tree(first)
-        empty = {name: np.zeros(1) for name in tree} if not self._file.metadata.num_rows else tree
-        self.names = Arrays(path, empty).names
-        self._table: Arrays | None = None
-
-    def _tree(self, rows: Any) -> dict[str, Any]:
-        import pyarrow as pa
-
-        table = pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
-        return {name: _arrow_column(table.column(name)) for name in table.column_names}
+            first = pa.Table.from_batches(islice(self._file.iter_batches(1000), 1), self._file.schema_arrow)
+        tree = _arrow_columns(first) if len(first) else dict.fromkeys(first.column_names, np.zeros(1))
+        self.names = Arrays(path, tree).names
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        roots = [max((one for one in self._all if f"{name}/".startswith(f"{one}/")), key=len) for name in wanted]
+        roots = self._file.schema_arrow.names
+        mine = [max((one for one in roots if f"{name}/".startswith(f"{one}/")), key=len) for name in wanted]
         with reading_parquet(self.path):
-            tree = self._tree(self._file.read(list(dict.fromkeys(roots)), use_pandas_metadata=False))
+            tree = _arrow_columns(self._file.read(list(dict.fromkeys(mine)), use_pandas_metadata=False))
         if not self._file.metadata.num_rows:
             return {name: np.empty(0) for name in wanted}
         self._table = Arrays(self.path, tree)
@@ -454,13 +444,9 @@ _SUFFIXES = {
     ".bag": "bag", ".feather": "arrow", ".arrow": "arrow", ".pkl": "pickle", ".pickle": "pickle", ".xls": "xls",
 }  # fmt: skip
 _READERS: dict[str, tuple[Reader, str]] = {
-    "numpy": (_numpy, "NumPy file"),
-    "matlab": (_matlab, "MATLAB file"),
-    "hdf5": (_hdf5, "HDF5 file"),
-    "json": (_json, "JSON file"),
-    "arrow": (_arrow, "Arrow file"),
-    "excel": (_excel, "Excel file"),
-}
+    "numpy": (_numpy, "NumPy file"), "matlab": (_matlab, "MATLAB file"), "hdf5": (_hdf5, "HDF5 file"),
+    "json": (_json, "JSON file"), "arrow": (_arrow, "Arrow file"), "excel": (_excel, "Excel file"),
+}  # fmt: skip
 _REFUSED = {
     "pickle": "a pickle file can run code when it is read: save the columns as CSV, Parquet or npz",
     "xls": "the older Excel format: save it as .xlsx or CSV",
@@ -472,18 +458,16 @@ _REFUSED = {
 def _kind_of(path: Path, start: bytes, source: Source) -> str:
     """What a file is, by its first bytes, or else by its name."""
     if start.startswith(b"PK\x03\x04"):
-        try:
-            with zipfile.ZipFile(source) as archive:
-                inside = archive.namelist()
-        except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
-            inside = []
+        inside: list[str] = []
+        with suppress(OSError, ValueError, NotImplementedError, zipfile.BadZipFile), zipfile.ZipFile(source) as archive:
+            inside = archive.namelist()
         if "xl/workbook.xml" in inside:
             return "excel"
         return "numpy" if (inside and all(name.endswith(".npy") for name in inside)) or path.suffix == ".npz" else "zip"
-    found = next((kind for magic, kind in _MAGIC if start.startswith(magic)), None)
-    if found is not None:
-        return found
     suffix = _SUFFIXES.get(path.suffix.lower(), "")
+    for magic, kind in _MAGIC:
+        if start.startswith(magic):
+            return kind
     if re.match(rb"(?:\xef\xbb\xbf)?\s*<[?!\w]", start):
         return "markup"
     if not suffix and re.match(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*[\[{])", start):
@@ -535,14 +519,12 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     source, note = _unpacked(path, start)
-    if isinstance(source, Path):
-        kind = _kind_of(path, start, source)
-    else:
-        kind = _kind_of(path.with_suffix(""), source.getvalue()[:600], source)
+    packed = not isinstance(source, Path)
+    kind = _kind_of(path.with_suffix(""), _bytes(source)[:600], source) if packed else _kind_of(path, start, source)
     if kind in _REFUSED:
         raise InputError(f"{path}: not a format that is read: {_REFUSED[kind]}")
     if kind in ("bag", "mcap", "db3"):
-        if not isinstance(source, Path):
+        if packed:
             raise InputError(f"{path}: expected a bag or MCAP file that is not compressed as a whole; unpack it first")
         return open_messages(path, wanted)
     log: Log
