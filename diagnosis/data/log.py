@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+
+from ...models.errors import InputError, first_line
 
 LABELS = ("name", "names", "joint_names", "interface_names", "actuator_names")
 """Lists of names of other lists' elements, as `sensor_msgs/JointState` has."""
@@ -52,3 +55,23 @@ class Log:
 
 def _plain(name: str) -> str:
     return re.sub(r"[./\[\]()]+", "/", name).strip("/ #%")
+
+
+@contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """Say in one line that a file is damaged, for any error of its library."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error
+
+
+@contextmanager
+def needing(packages: str, what: str, extra: str = "logs") -> Iterator[None]:
+    """Say in one line which packages are not installed."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(f"{what}: expected the {packages}; install flexspline[{extra}]") from error

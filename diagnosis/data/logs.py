@@ -25,7 +25,7 @@ import numpy as np
 from ...models.errors import InputError, first_line
 from ...models.tables import reading_parquet
 from ...models.text_tables import TextForm, TextTable, elements, find_head, numbers
-from .log import LABELS, Log
+from .log import LABELS, Log, needing, reading
 from .messages import open_messages
 
 READ = "CSV and other text, Parquet, JSON, NumPy, MATLAB, HDF5, Excel (.xlsx), Arrow, MCAP, ROS 1 and ROS 2 bags"
@@ -165,10 +165,6 @@ def _bytes(source: Source) -> bytes:
     return source.read_bytes() if isinstance(source, Path) else source.getvalue()
 
 
-def _needs(package: str, what: str) -> InputError:
-    return InputError(f"reading {what}: expected the package {package}; install flexspline[logs]")
-
-
 def _numpy(source: Source, wanted: set[str], form: TextForm) -> Any:
     found = np.load(source)
     if isinstance(found, np.ndarray):
@@ -203,10 +199,8 @@ def _matlab(source: Source, wanted: set[str], form: TextForm) -> Any:
 
 
 def _hdf5(source: Source, wanted: set[str], form: TextForm) -> Any:
-    try:
+    with needing("package h5py", "reading HDF5 and MATLAB 7.3 files"):
         import h5py
-    except ImportError as error:
-        raise _needs("h5py", "HDF5 and MATLAB 7.3 files") from error
 
     def plain(group: Any) -> dict[str, Any]:
         tree: dict[str, Any] = {}
@@ -228,10 +222,8 @@ def _hdf5(source: Source, wanted: set[str], form: TextForm) -> Any:
 
 
 def _excel(source: Source, wanted: set[str], form: TextForm) -> Any:
-    try:
+    with needing("package openpyxl", "reading Excel files"):
         from openpyxl import load_workbook
-    except ImportError as error:
-        raise _needs("openpyxl", "Excel files") from error
     book = load_workbook(source, read_only=True, data_only=True)
     sheets: dict[str, dict[str, list]] = {}
     for sheet in book.worksheets:
@@ -532,13 +524,9 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
         log = _Parquet(path, source)
     elif kind in _READERS:
         reader, what = _READERS[kind]
-        try:
+        with reading(path, what):
             tree = reader(source, wanted or set(), form.text)
             log = Arrays(path, *(tree if isinstance(tree, tuple) else (tree,)))
-        except InputError:
-            raise
-        except Exception as error:  # of a library, for damaged files
-            raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error
         if not log.names:
             raise InputError(f"{path}: expected arrays or columns of numbers in the {what}, found none")
     else:
