@@ -104,24 +104,21 @@ def collapse(measurement: Measurement, joint: Joint, structure: str, draws: int 
     """
     joint = as_logged(joint, measurement.recordings)
     motion = _motion(measurement, joint)
-    one = motion.fitted([joint.record(s.mounting) for s in motion.segments], structure)
+    one = motion.fitted(motion.records(joint), structure)
     before = measurement.load_joint() if measurement.recordings[0].joint else joint
     nominal = None
     if before.numbers != joint.numbers or before.effects != joint.effects:
-        described = motion.fitted([before.record(s.mounting) for s in motion.segments], structure)
+        described = motion.fitted(motion.records(before), structure)
         nominal = _rms(described.written - described.measured)
     error = one.written - one.measured
+    changes = drawn_changes(joint, draws, seed)
+    drawn = ([moved(joint, s.mounting, change) for s in motion.segments] for change in changes)
     return Collapse(
-        structure=structure,
-        parameters=one.parameters,
-        full=_rms(one.full - one.measured),
-        written=_rms(error),
-        nominal=nominal,
-        worst=_worst(error, one),
-        samples=len(error),
+        structure=structure, parameters=one.parameters, full=_rms(one.full - one.measured), written=_rms(error),
+        nominal=nominal, worst=_worst(error, one), samples=len(error),
         visited=(float(np.max(np.abs(one.speed))), float(np.max(np.abs(one.load)))),
-        draws=tuple(motion.drawn(joint, structure, draws, seed)),
-    )
+        draws=tuple(motion.fitted(records, structure).parameters for records in drawn),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -175,6 +172,10 @@ class _Motion:
         self._rotor = np.concatenate([decimate(s.rotor) for s in self.segments])
         self._measured = np.concatenate([s.measured[:, CURRENT] for s in self.segments])
 
+    def records(self, joint: Joint) -> list[np.ndarray]:
+        """Return a joint's parameters with the load of each segment."""
+        return [joint.record(s.mounting) for s in self.segments]
+
     def _replayed(self, records: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return `_replayed` of all segments, a record for each."""
         each = parallel(_replayed, list(zip(self.segments, records, strict=True)))
@@ -203,24 +204,23 @@ class _Motion:
         named = _two_bodies_named if structure == "two_bodies" else _hinge_named
         held = self._held
         limits = {
-            "N": float(p["N"]),
-            "torque_constant": float(p["N"] * p["Kt"]),
+            "N": float(p["N"]), "torque_constant": float(p["N"] * p["Kt"]),
             "torque_limit": float(p["N"] * p["Kt"] * p["current_limit"]),
             "speed_limit": float(p["supply_voltage"] / p["Kt"] / p["N"]),
-        }
+        }  # fmt: skip
         visited = float(np.max(np.abs(load)))
         return _Fitted(
-            named(fit, p, structure, visited) | limits, self._measured[held], full[held], written[held],
+            named(fit, p, visited) | limits, self._measured[held], full[held], written[held],
             v[held], load[held], q[held],
         )  # fmt: skip
 
     def full_error(self, joint: Joint) -> float:
         """RMS error [A] of the current by the joint's own laws on held-out motion."""
-        current, _ = self._replayed([joint.record(s.mounting) for s in self.segments])
+        current, _ = self._replayed(self.records(joint))
         return _rms((current - self._measured)[self._held])
 
     def feed_forward_error(self, joint: Joint) -> FeedForwardError:
-        records = [joint.record(s.mounting) for s in self.segments]
+        records = self.records(joint)
         _, link = self._replayed(records)
         held, p = self._held, steady(records[0])[0]
         load = link[:, 3] + p["bl"] * link[:, 1]
@@ -230,12 +230,6 @@ class _Motion:
         points = np.column_stack([w / p["N"], load, temperature])[held]
         forward = np.array([friction(*point, p) for point in points]) / p["Kt"]
         return FeedForwardError(_rms(rest - forward), _rms(rest), len(rest))
-
-    def drawn(self, joint: Joint, structure: str, draws: int, seed: int) -> list[dict[str, Any]]:
-        """Parameters of joints drawn from what is not known of one."""
-        changes = drawn_changes(joint, draws, seed)
-        records = [[moved(joint, s.mounting, change) for s in self.segments] for change in changes]
-        return [self.fitted(one, structure).parameters for one in records]
 
 
 def _motion(measurement: Measurement, joint: Joint) -> _Motion:
@@ -273,7 +267,7 @@ def _hinge(motion: np.ndarray, p: np.void, structure: str) -> list[np.ndarray]:
     return columns
 
 
-def _hinge_named(found: np.ndarray, p: np.void, structure: str, visited: float) -> dict[str, Any]:
+def _hinge_named(found: np.ndarray, p: np.void, visited: float) -> dict[str, Any]:
     names = ("armature", "damping", "frictionloss", "stiffness")
     values = dict.fromkeys(names, 0.0) | {name: float(x) for name, x in zip(names, found, strict=False)}
     stiff = len(found) > 4 and values["stiffness"] > 0.0
@@ -295,7 +289,7 @@ def _cogging(p: np.void) -> tuple[float, float, float]:
     return float(p["cogging_order"][k]), float(p["cogging_amplitude"][k]), float(p["cogging_phase"][k])
 
 
-def _two_bodies_named(found: np.ndarray, p: np.void, structure: str, visited: float) -> dict[str, Any]:
+def _two_bodies_named(found: np.ndarray, p: np.void, visited: float) -> dict[str, Any]:
     inertia, damping, friction = (float(x) for x in found)
     torque = np.linspace(0.0, max(visited, float(p["T1"])), 101)[1:]
     torsion = np.array(

@@ -22,12 +22,8 @@ CONTROLLER = Controller(kp=8.0, kd=0.08, ki=20.0)
 def motions(
     rng: np.random.Generator, free: str = "no_load", link: str = "link", strength: float = 1.0
 ) -> list[Scenario]:
-    """Draw three motions, about 85 s: bare joint to both sides; link to both sides; link held and pushed.
-
-    Args:
-      free, link: mountings.
-      strength: of the pushes, 1 for a joint of 16 N·m.
-    """
+    """Draw three motions, about 85 s: bare joint to both sides; link to both sides; link held and pushed. `free`, `link`:
+    mountings; `strength`: of the pushes, 1 for a joint of 16 N·m."""
     u = rng.uniform
     sweeps = [u(1.2, 1.45), -u(1.1, 1.45), u(1.2, 1.45), -u(0.9, 1.45), 0.0]
     bare_, loaded = [u(1.4, 1.65), -u(1.4, 1.7), 0.0], [u(1.2, 1.4), 0.0]
@@ -92,18 +88,12 @@ def record_motion(
     n = len(position)
     controller = (nominal.controller if scenario.controller == CONTROLLER else None) or scenario.controller
     driven = Driven(
-        record,
-        position,
-        velocity,
-        external,
+        record, position, velocity, external,
         sensors.sensor_records(nominal, float(record[0]["link_delay"]), CONTROL_PERIOD),
-        sensors.noise(nominal, seed, n, CONTROL_PERIOD),
-        controller.record(record[0], CONTROL_PERIOD, False),
+        sensors.noise(nominal, seed, n, CONTROL_PERIOD), controller.record(record[0], CONTROL_PERIOD, False),
         temperature=float(record[0]["reference_temperature"]) + warming * CONTROL_PERIOD * np.arange(n),
-    )
-    model = plant.build(
-        nominal, mounting, timestep=scenario.timestep, record=record, locked_rotor=scenario.locked_rotor
-    )
+    )  # fmt: skip
+    model = plant.build(nominal, mounting, scenario.timestep, record=record, locked_rotor=scenario.locked_rotor)
     loop = ClosedLoop(model, (driven,))
     loop.advance(n)
     found = loop.simulation
@@ -114,14 +104,10 @@ def record_motion(
     if pushed and known:
         columns["external_torque"] = external
     return Recording(
-        name=scenario.name,
-        time=found.time,
-        columns=columns,
-        joint=nominal.name,
-        description=scenario.description or scenario.name,
-        link=mounting,
+        name=scenario.name, time=found.time, columns=columns, joint=nominal.name,
+        description=scenario.description or scenario.name, link=mounting,
         external="none" if not pushed else "measured" if known else "unmeasured",
-    )
+    )  # fmt: skip
 
 
 def bare(recording: Recording, rng: np.random.Generator) -> Recording:
