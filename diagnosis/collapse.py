@@ -114,11 +114,16 @@ def collapse(measurement: Measurement, joint: Joint, structure: str, draws: int 
     changes = drawn_changes(joint, draws, seed)
     drawn = ([moved(joint, s.mounting, change) for s in motion.segments] for change in changes)
     return Collapse(
-        structure=structure, parameters=one.parameters, full=_rms(one.full - one.measured), written=_rms(error),
-        nominal=nominal, worst=_worst(error, one), samples=len(error),
+        structure=structure,
+        parameters=one.parameters,
+        full=_rms(one.full - one.measured),
+        written=_rms(error),
+        nominal=nominal,
+        worst=_worst(error, one),
+        samples=len(error),
         visited=(float(np.max(np.abs(one.speed))), float(np.max(np.abs(one.load)))),
         draws=tuple(motion.fitted(records, structure).parameters for records in drawn),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -135,12 +140,19 @@ class FeedForwardError:
 
 
 def feed_forward_error(measurement: Measurement, joint: Joint) -> FeedForwardError:
-    """How well the friction map of a joint (`models.friction_map`) says the current of a measured motion.
-
-    Raises:
-      InputError: a measurement without current, or without motion in held-out blocks.
-    """
-    return _motion(measurement, as_logged(joint, measurement.recordings)).feed_forward_error(joint)
+    """How well the friction map of a joint (`models.friction_map`) says the current of a measured motion. Raises `InputError`: a
+    measurement without current, or without motion in held-out blocks."""
+    motion = _motion(measurement, as_logged(joint, measurement.recordings))
+    records = motion.records(joint)
+    _, link = motion.replayed(records)
+    held, p = motion.held, steady(records[0])[0]
+    load = link[:, 3] + p["bl"] * link[:, 1]
+    temperature = np.concatenate([decimate(s.temperature) for s in motion.segments])
+    _, w, a = motion.rotor.T
+    rest = (motion.measured - p["current_offset"] - ((p["Jm"] + p["Jw"]) * a + load / p["N"]) / p["Kt"])[held]
+    points = np.column_stack([w / p["N"], load, temperature])[held]
+    forward = np.array([friction(*point, p) for point in points]) / p["Kt"]
+    return FeedForwardError(_rms(rest - forward), _rms(rest), len(rest))
 
 
 @dataclass(frozen=True)
@@ -168,15 +180,15 @@ class _Motion:
         held = [~s.at_rest & s.held_out[:, CURRENT] for s in self.segments]
         if not (sum(map(np.sum, kept)) and sum(map(np.sum, held))):
             raise InputError(f"{path}: expected more than three seconds in motion, got less")
-        self._kept, self._held = np.concatenate(kept), np.concatenate(held)
-        self._rotor = np.concatenate([decimate(s.rotor) for s in self.segments])
-        self._measured = np.concatenate([s.measured[:, CURRENT] for s in self.segments])
+        self.kept, self.held = np.concatenate(kept), np.concatenate(held)
+        self.rotor = np.concatenate([decimate(s.rotor) for s in self.segments])
+        self.measured = np.concatenate([s.measured[:, CURRENT] for s in self.segments])
 
     def records(self, joint: Joint) -> list[np.ndarray]:
         """Return a joint's parameters with the load of each segment."""
         return [joint.record(s.mounting) for s in self.segments]
 
-    def _replayed(self, records: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def replayed(self, records: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return `_replayed` of all segments, a record for each."""
         each = parallel(_replayed, list(zip(self.segments, records, strict=True)))
         current, motion = zip(*each, strict=True)
@@ -184,52 +196,41 @@ class _Motion:
 
     def fitted(self, records: Sequence[np.ndarray], structure: str) -> _Fitted:
         """A structure fitted to the laws of a joint, a record for every segment."""
-        full, link = self._replayed(records)
+        full, link = self.replayed(records)
         q, v, _, load = link.T
         p = records[0][0]
         if structure == "two_bodies":
-            columns, known = _two_bodies(self._rotor, load + p["bl"] * v, p)
+            columns, known = _two_bodies(self.rotor, load + p["bl"] * v, p)
             X = fitted = np.stack(columns, axis=1)
         else:
             # Fitted to the drive's own motion, as the link's does not have the rotor's acceleration; errors are on the link's.
-            drive = np.column_stack([q, self._rotor[:, 1:] / p["N"]])
+            drive = np.column_stack([q, self.rotor[:, 1:] / p["N"]])
             fitted, X = (np.stack(_hinge(x, p, structure), axis=1) for x in (drive, link[:, :3]))
             known = load / p["N"] / p["Kt"]
         free = np.arange(X.shape[1]) == 4  # the spring's rest angle times its stiffness has either sign
         y = full - known - p["current_offset"]
-        scale = np.linalg.norm(fitted[self._kept], axis=0) + 1e-300
+        scale = np.linalg.norm(fitted[self.kept], axis=0) + 1e-300
         bounds = np.where(free, -np.inf, 0.0), np.inf
-        fit = lsq_linear(fitted[self._kept] / scale, y[self._kept], bounds=bounds).x / scale
+        fit = lsq_linear(fitted[self.kept] / scale, y[self.kept], bounds=bounds).x / scale
         written = X @ fit + known + p["current_offset"]
         named = _two_bodies_named if structure == "two_bodies" else _hinge_named
-        held = self._held
+        held = self.held
         limits = {
-            "N": float(p["N"]), "torque_constant": float(p["N"] * p["Kt"]),
+            "N": float(p["N"]),
+            "torque_constant": float(p["N"] * p["Kt"]),
             "torque_limit": float(p["N"] * p["Kt"] * p["current_limit"]),
             "speed_limit": float(p["supply_voltage"] / p["Kt"] / p["N"]),
-        }  # fmt: skip
+        }
         visited = float(np.max(np.abs(load)))
         return _Fitted(
-            named(fit, p, visited) | limits, self._measured[held], full[held], written[held],
+            named(fit, p, visited) | limits, self.measured[held], full[held], written[held],
             v[held], load[held], q[held],
         )  # fmt: skip
 
     def full_error(self, joint: Joint) -> float:
         """RMS error [A] of the current by the joint's own laws on held-out motion."""
-        current, _ = self._replayed(self.records(joint))
-        return _rms((current - self._measured)[self._held])
-
-    def feed_forward_error(self, joint: Joint) -> FeedForwardError:
-        records = self.records(joint)
-        _, link = self._replayed(records)
-        held, p = self._held, steady(records[0])[0]
-        load = link[:, 3] + p["bl"] * link[:, 1]
-        temperature = np.concatenate([decimate(s.temperature) for s in self.segments])
-        _, w, a = self._rotor.T
-        rest = (self._measured - p["current_offset"] - ((p["Jm"] + p["Jw"]) * a + load / p["N"]) / p["Kt"])[held]
-        points = np.column_stack([w / p["N"], load, temperature])[held]
-        forward = np.array([friction(*point, p) for point in points]) / p["Kt"]
-        return FeedForwardError(_rms(rest - forward), _rms(rest), len(rest))
+        current, _ = self.replayed(self.records(joint))
+        return _rms((current - self.measured)[self.held])
 
 
 def _motion(measurement: Measurement, joint: Joint) -> _Motion:

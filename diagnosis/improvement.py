@@ -110,7 +110,8 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
     if np.mean(np.concatenate(kept)) <= ENOUGH:  # too short to keep blocks from the fits
         kept = [np.ones(len(recording.time), bool) for _, recording in sensed]
     return Improvement(
-        quantity=quantity, main=main,
+        quantity=quantity,
+        main=main,
         errors={name: _errors(pairs, quantity, name, kept) for name in names},
         regions=_in_regions(diagnosis, pairs, quantity, main),
         noise=joint.sensors.joint_torque.noise if quantity == "joint_torque" else 0.0,

@@ -183,8 +183,11 @@ class Plan:
         """Return `next` of `diagnosis.json`."""
         return [
             {
-                "experiment": p.name, "description": p.description, "duration": round(p.duration, 1),
-                "sentence": self.sentence(p), "answers": [q.text for q in self.answered(p)],
+                "experiment": p.name,
+                "description": p.description,
+                "duration": round(p.duration, 1),
+                "sentence": self.sentence(p),
+                "answers": [q.text for q in self.answered(p)],
                 "expected": [
                     {
                         "about": list(q.names), **({"parameter": q.parameter} if q.parameter else {}),
@@ -303,9 +306,13 @@ def _without_splines(problem: Problem, f: Fit) -> Fit:
         return f
     kept = np.concatenate([np.arange(problem.size), *(_columns(problem, f, i) for i in named)])
     return replace(
-        f, model=tuple(f.model[i] for i in named), theta=f.theta[kept], jacobian=[j[..., kept] for j in f.jacobian],
-        covariance=f.covariance[np.ix_(kept, kept)], noise_jacobian=None,
-    )  # fmt: skip
+        f,
+        model=tuple(f.model[i] for i in named),
+        theta=f.theta[kept],
+        jacobian=[j[..., kept] for j in f.jacobian],
+        covariance=f.covariance[np.ix_(kept, kept)],
+        noise_jacobian=None,
+    )
 
 
 def _columns(problem: Problem, f: Fit, index: int) -> np.ndarray:

@@ -193,10 +193,15 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
     residual = _residual(recordings)
     motion = [np.concatenate([getattr(r, x)[r.moving] for r in recordings]) for x in ("angle", "velocity", "load")]
     return Validation(
-        joint=joint.name, residual=residual, regions=tuple(_regions(recordings, motion, joint.valid)),
-        beyond={} if joint.valid is None else joint.valid.beyond(*motion), mistakes=mistakes, fixed=measurement.fixed,
-        recordings=recordings, mostly_offset=_mostly_offset(residual.get("link_position"), joint),
-    )  # fmt: skip
+        joint=joint.name,
+        residual=residual,
+        regions=tuple(_regions(recordings, motion, joint.valid)),
+        beyond={} if joint.valid is None else joint.valid.beyond(*motion),
+        mistakes=mistakes,
+        fixed=measurement.fixed,
+        recordings=recordings,
+        mostly_offset=_mostly_offset(residual.get("link_position"), joint),
+    )
 
 
 # --- one recording simulated -----------------------------------------------------------------------------------------
@@ -393,10 +398,12 @@ def _discrepancy(segment: Segment, joint: Joint, name: str) -> float | np.ndarra
     known: dict[str, float] = {"motor_current": 0.0, "link_balance": 0.0, **stated.discrepancy}
     current, link = known["motor_current"], known["link_balance"]
     rms = {
-        "motor_current": current, "motor_torque": current * joint.numbers["Kt"].value,
-        "joint_torque": known.get("joint_torque", link), "external_torque": link,
+        "motor_current": current,
+        "motor_torque": current * joint.numbers["Kt"].value,
+        "joint_torque": known.get("joint_torque", link),
+        "external_torque": link,
         "link_position": max(link, known.get("joint_torque", 0.0)) / joint.numbers["K1"].value,
-    }[name]  # fmt: skip
+    }[name]
     if valid is None:
         return rms
     far = valid.distance(segment.link_position, segment.state[:, 3], segment.load)

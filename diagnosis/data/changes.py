@@ -202,6 +202,11 @@ def undone(
     return time, found
 
 
+def probability(gain: float) -> float:
+    """Return the probability of a hypothesis over another one, by the gain in score."""
+    return 1 / (1 + math.exp(-min(max(gain, -50.0), 50.0) / 3))
+
+
 def expected_sign(channels: Columns, N: float, p: np.void) -> np.ndarray:
     """Return the sign of the drive's torque according to the joint's record, shape (n,); channels: shape (n, 3) each."""
     position = next(n for n in reversed(POSITIONS) if n in channels)
@@ -357,10 +362,8 @@ class Table:
         yield from self._of_loads(there, motions)
 
     def _of_loads(self, there: set[str], motions: list[tuple[Plausibility, SmoothedChannels]]) -> Iterator[Mistake]:
-        """Yield what the best gravity and inertia show: an effort without gravity, another zero of all angles, or a wrong clock.
-
-        A clock scales inertia by the square of its error, and leaves gravity unchanged.
-        """
+        """Yield what the best gravity and inertia show: an effort without gravity, another zero of all angles, or a wrong clock,
+        which scales inertia by the square of its error, and leaves gravity unchanged."""
         columns = [name for name in DRIVING if name in there]
         fits = {n: [(p, p.torque(m, n, True).coefficients) for p, m in motions if n in m] for n in columns}
         every = [fit for found in fits.values() for fit in found]
@@ -448,10 +451,8 @@ def _median(motions: Sequence[SmoothedChannels], a: str, b: str, N: float) -> fl
 
 
 def shrinkage(m: Mistake, new: Mapping[str, RelationFit], old: Mapping[str, RelationFit], effective: float) -> float:
-    """Return the cost of a change that makes torques or angles smaller: small signals fit any description.
-
-    The cost for angles is at most the gain of the relations between angles.
-    """
+    """Return the cost of a change that makes torques or angles smaller, as small signals fit any description; for angles at most
+    the gain of the relations between angles."""
     if m.becomes:
         return -effective * max(math.log(m.factor or 1.0), 0.0)
     cost = -effective * math.log(abs(m.factor)) if m.name == "unit" and m.factor and m.column != "time" else 0.0

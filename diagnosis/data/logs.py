@@ -436,9 +436,13 @@ _SUFFIXES = {
     ".bag": "bag", ".feather": "arrow", ".arrow": "arrow", ".pkl": "pickle", ".pickle": "pickle", ".xls": "xls",
 }  # fmt: skip
 _READERS: dict[str, tuple[Reader, str]] = {
-    "numpy": (_numpy, "NumPy file"), "matlab": (_matlab, "MATLAB file"), "hdf5": (_hdf5, "HDF5 file"),
-    "json": (_json, "JSON file"), "arrow": (_arrow, "Arrow file"), "excel": (_excel, "Excel file"),
-}  # fmt: skip
+    "numpy": (_numpy, "NumPy file"),
+    "matlab": (_matlab, "MATLAB file"),
+    "hdf5": (_hdf5, "HDF5 file"),
+    "json": (_json, "JSON file"),
+    "arrow": (_arrow, "Arrow file"),
+    "excel": (_excel, "Excel file"),
+}
 _REFUSED = {
     "pickle": "a pickle file can run code when it is read: save the columns as CSV, Parquet or npz",
     "xls": "the older Excel format: save it as .xlsx or CSV",

@@ -24,7 +24,7 @@ from ...models.errors import InputError, InputWarning
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording, check_channels, with_load
 from ...models.signals import DRIVING, POSITIONS
-from .changes import GRAVITY, NO_CHANGE, UNSURE, Mistake, Table, expected_sign, shrinkage, side, undone
+from .changes import GRAVITY, NO_CHANGE, UNSURE, Mistake, Table, expected_sign, probability, shrinkage, side, undone
 from .plausibility import SETTINGS as AGREEMENT
 from .plausibility import Plausibility, RelationFit, SmoothedChannels, motion_of
 from .samples import bridged, still_commands, unwrapped, wrong_samples
@@ -129,18 +129,13 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     if load is not None and load.score > end.score - SETTINGS.beyond:
         found = [m if m.name in _OF_LOAD or m.column == GRAVITY else _unsure(m) for m in found]
         if load.found and load.score > end.score + SETTINGS.beyond:
-            wrong = [replace(m, confidence=_probability(load.score - end.score)) for m, _ in load.found]
+            wrong = [replace(m, confidence=probability(load.score - end.score)) for m, _ in load.found]
             found, end, fits = [*(m for m in found if m.name == "late"), *wrong], load, True
     return [*late, *(found if fits and not start.leaves_a_load(end) else map(_unsure, found))]
 
 
 def _unsure(m: Mistake) -> Mistake:
     return replace(m, confidence=min(m.confidence, UNSURE))
-
-
-def _probability(gain: float) -> float:
-    """Return the probability of a hypothesis over another one, by the gain in score."""
-    return 1 / (1 + math.exp(-min(max(gain, -50.0), 50.0) / 3))
 
 
 _Fits = dict[str, RelationFit]
@@ -269,10 +264,8 @@ class _Search:
         return tuple({} if m is None else p.agreement(m) for p, m in zip(plausible, motions, strict=True))
 
     def with_another_load(self) -> _State:
-        """Return the channels without changes, each recording with the load that fits its torque best.
-
-        `found` has the described loads that are then wrong; none if the channels still disagree.
-        """
+        """Return the channels without changes, each recording with the load that fits its torque best; `found` has the described
+        loads that are then wrong, none if the channels still disagree."""
         found, plausible = list[tuple[Mistake, tuple[int, ...]]](), list[Plausibility]()
         parts = zip(self._recordings, self._plausible, self.start.motions, self.start.fits, strict=True)
         for i, (r, p, motion, fits) in enumerate(parts):
@@ -294,10 +287,8 @@ class _Search:
         return state if state.worst > SETTINGS.wrong else replace(state, found=())
 
     def has_another_scale(self, state: _State) -> bool:
-        """Return whether the only torque channel needs both numbers of each described load larger, or both smaller.
-
-        With another clock any inertia fits.
-        """
+        """Return whether the only torque channel needs both numbers of each described load larger, or both smaller. With another
+        clock any inertia fits."""
         found, clock = [], any(m.column == "time" for m, _ in state.found)
         for p, motion, fits in zip(self._plausible, state.motions, state.fits, strict=True):
             torques = [name for name in DRIVING if name in fits]
@@ -375,7 +366,7 @@ class _Search:
                 step = _State(
                     tuple(one.motion if i in chosen else state.motions[i] for i, one in enumerate(tried)),
                     tuple(one.after if i in chosen else one.before for i, one in enumerate(tried)),
-                    (*state.found, (replace(m, confidence=_probability(gain)), tuple(chosen))),
+                    (*state.found, (replace(m, confidence=probability(gain)), tuple(chosen))),
                     state.price + price + sum(tried[i].cost for i in chosen),
                     state.refund + sum(max(-tried[i].cost, 0.0) for i in chosen if not m.becomes),
                 )
@@ -398,10 +389,8 @@ class _Search:
         return False
 
     def _best_unit(self, steps: Sequence[_State], column: str) -> list[_State]:
-        """Reduce the steps that change the unit of one column to the best one, and limit its confidence by the others.
-
-        Units that differ by a factor of two fit about as well. The described encoder's counts are preferred among them.
-        """
+        """Reduce the steps that change the unit of one column to the best one, and limit its confidence by the others. Units that
+        differ by a factor of two fit about as well; the described encoder's counts are preferred among them."""
         whole = column in self._table.whole
 
         def of_them(m: Mistake) -> bool:

@@ -35,10 +35,7 @@ from ...models.signals import DRIVING, POSITIONS
 
 @dataclass(frozen=True)
 class AgreementSettings:
-    """Settings of smoothing and comparison.
-
-    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-    """
+    """Settings of smoothing and comparison. Set on `benchmarks/mistakes.py`."""
 
     effective: float = 90.0  # most effective samples of a recording in a relation
     a_second: float = 12.0  # effective samples per second
@@ -131,10 +128,7 @@ def smallest_step(x: np.ndarray) -> float:
 
 @kernel
 def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
-    """Fit y = A β within bounds, by iterated weights and coordinate descent, in place.
-
-    Returns the log likelihood, including the priors.
-    """
+    """Fit y = A β within bounds, by iterated weights and coordinate descent, in place; return the log likelihood with priors."""
     n, p = A.shape
     beta[:] = centre
     G, g = np.empty((p, p)), np.empty(p)
@@ -263,10 +257,8 @@ def _same(a: SmoothedChannels, b: SmoothedChannels, channels: tuple[str, ...]) -
 
 
 class Plausibility:
-    """A joint's description, compared with the channels of one recording.
-
-    `lighter`: rotor and friction may be much smaller than described, as those by rules of a larger gear are.
-    """
+    """A joint's description, compared with the channels of one recording. `lighter`: rotor and friction may be much smaller than
+    described, as those by rules of a larger gear are."""
 
     def __init__(self, joint: Joint, recording: Recording, lighter: bool = False):
         self.joint, self.mounting = joint, recording.link
@@ -288,12 +280,8 @@ class Plausibility:
         before: SmoothedChannels | None = None,
         known: Mapping[str, RelationFit] = MappingProxyType({}),
     ) -> dict[str, RelationFit]:
-        """Fit all relations of the channels, by name: `encoders`, `command`, and each torque channel.
-
-        Args:
-          motion: the channels.
-          before, known: other channels and their relations, which are reused for identical channels.
-        """
+        """Fit all relations of the channels, by name: `encoders`, `command`, and each torque channel. `before`, `known`: other
+        channels and their relations, which are reused for identical channels."""
         needed = {"encoders": POSITIONS, "command": (motion.position, "position_command")}
         fits = {"encoders": self._encoders, "command": self._command}
         for name in DRIVING:
@@ -378,12 +366,8 @@ class Plausibility:
         return _fitted(shapes, y, sigma, sigma, 0.5 * self._effective(motion))
 
     def torque(self, motion: SmoothedChannels, name: str, free: bool = False) -> RelationFit:
-        """Fit a torque channel to the link's motion.
-
-        Args:
-          free: whether inertia and gravity, the first three coefficients, are unbounded, to detect a wrong clock or a torque
-            without gravity.
-        """
+        """Fit a torque channel to the link's motion. `free`: whether inertia and gravity, the first three coefficients, are
+        unbounded, to detect a wrong clock or a torque without gravity."""
         p, size, rated, payload = self.p, self._size, self.rated, self._payload
         drive = name != "joint_torque"
         N, weight = float(p["N"]), float(p["Mg"])

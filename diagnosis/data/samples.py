@@ -135,10 +135,8 @@ def jumps(recording: Recording, joint: Joint) -> np.ndarray:
 
 
 def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[str, ...]]:
-    """Insert gaps in time where samples are missing (`jumps`); also return a message for each.
-
-    `Recording.stamps` keeps the original time.
-    """
+    """Insert gaps in time where samples are missing (`jumps`); also return a message for each. `Recording.stamps` keeps the
+    original time."""
     messages, found = [], []
     for recording in measurement.recordings:
         rows, time = jumps(recording, joint), recording.time.copy()
@@ -153,10 +151,8 @@ def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[s
 
 
 def still_commands(recordings: Sequence[Recording], joint: Joint) -> list[list[Mistake]]:
-    """Find, for each recording, a constant position command of a moving link; one recording decides for equal commands.
-
-    Drives in torque or velocity mode log such commands.
-    """
+    """Find, for each recording, a constant position command of a moving link, as drives in torque or velocity mode log it; one
+    recording decides for equal commands."""
     N = joint.numbers["N"].value
     commands = [r.columns.get("position_command") for r in recordings]
     at = [None if x is None or np.ptp(x) else float(x[0]) for x in commands]
@@ -178,13 +174,9 @@ def bridged(time: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def unwrapped(
     time: np.ndarray, x: np.ndarray, jumps: np.ndarray, turn: float, guide: np.ndarray | None = None, start: float = 0.0
 ) -> np.ndarray:
-    """Return the angle without jumps by whole turns, shape (n,); the first is within half a turn of `start`.
-
-    Args:
-      time, x: of the samples [s], and the angle, shape (n,).
-      jumps: samples after each jump; turn: in the angle's unit.
-      guide: another angle of the same joint, in any unit; determines the turns within gaps, otherwise the speed around them does.
-    """
+    """Return the angle x without jumps by whole turns, shape (n,); the first is within half a turn of `start`. `jumps`: samples
+    after each jump; `turn`: in the angle's unit; `guide`: another angle of the joint, in any unit, that determines the turns
+    within gaps, otherwise the speed around them does."""
     steps, change = np.diff(x), np.zeros(len(x))
     inside = np.diff(time) <= GAP
     plain = inside.copy()
@@ -251,10 +243,8 @@ class _Steps:
         return few if len(few) else self._many()
 
     def _many(self) -> np.ndarray:
-        """Glitches that are so frequent that far steps are no exception.
-
-        They are compared with a running median; steps must be ordinary without them.
-        """
+        """Find glitches that are so frequent that far steps are no exception, by a running median; steps must be ordinary without
+        them."""
         way = np.concatenate([[0.0], np.cumsum(self.off)])
         off = np.abs(way - median_filter(way, SETTINGS.window, mode="nearest"))
         limit = max(SETTINGS.far * float(np.quantile(off, SETTINGS.usual)), SETTINGS.quanta * self.quantum, 1e-12)
@@ -396,11 +386,8 @@ def _edges(x: np.ndarray) -> np.ndarray:
 def _still(
     time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: float, limit: float
 ) -> dict[str, np.ndarray]:
-    """Find samples of a column that should move but does not, `stuck`, and those at a sensor's limit, `clipped`.
-
-    Args:
-      limit: physical limit of the column.
-    """
+    """Find samples of a column that should move but does not, `stuck`, and those at a sensor's limit, `clipped`; `limit`: the
+    column's physical one."""
     x = columns[name]
     edges = _edges(x)
     begins, lengths = edges[:-1], np.diff(edges)

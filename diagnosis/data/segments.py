@@ -261,10 +261,8 @@ def _smoothed(
 def _block(
     one: Segment, conditioned: Conditioned, noises: Sequence[np.ndarray], current_noise: np.ndarray, p: np.void
 ) -> int:
-    """Return how many residuals count as one (`SegmentSettings.block`), which keeps the frequencies of the motion.
-
-    Above them, acceleration is noise alone, and least squares would be biased (errors in variables).
-    """
+    """Return how many residuals count as one (`SegmentSettings.block`), which keeps the frequencies of the motion: above them,
+    acceleration is noise alone, and least squares would be biased (errors in variables)."""
     rate, most = 1.0 / (STEP * DECIMATION), SETTINGS.block
     block = int(np.clip(0.5 / (STEP * DECIMATION * conditioned.passband), 1, most))
     if not one.link_measured:  # orders of the motor show in the current above the passband of the link's encoder

@@ -20,7 +20,7 @@ from ...models.joint import Joint
 from ...models.motion import smooth
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
-from .changes import Mistake
+from .changes import Mistake, probability
 from .stretches import shortened
 
 
@@ -101,9 +101,8 @@ def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[tuple[M
     for name, mine in found.items():
         having, offsets, gains = zip(*mine, strict=True)
         seconds = float(np.median(offsets))
-        probability = float(1 / (1 + np.exp(-min(sum(gains) - SETTINGS.sure, 50.0) / 3)))
-        text = f"{1e3 * seconds:.3g} ms later than the others"
-        late.append((Mistake("late", name, "", text, probability, seconds=seconds), having))
+        text, sure = f"{1e3 * seconds:.3g} ms later than the others", probability(sum(gains) - SETTINGS.sure)
+        late.append((Mistake("late", name, "", text, sure, seconds=seconds), having))
     return tuple(late)
 
 

@@ -88,11 +88,15 @@ def record_motion(
     n = len(position)
     controller = (nominal.controller if scenario.controller == CONTROLLER else None) or scenario.controller
     driven = Driven(
-        record, position, velocity, external,
+        record,
+        position,
+        velocity,
+        external,
         sensors.sensor_records(nominal, float(record[0]["link_delay"]), CONTROL_PERIOD),
-        sensors.noise(nominal, seed, n, CONTROL_PERIOD), controller.record(record[0], CONTROL_PERIOD, False),
+        sensors.noise(nominal, seed, n, CONTROL_PERIOD),
+        controller.record(record[0], CONTROL_PERIOD, False),
         temperature=float(record[0]["reference_temperature"]) + warming * CONTROL_PERIOD * np.arange(n),
-    )  # fmt: skip
+    )
     model = plant.build(nominal, mounting, scenario.timestep, record=record, locked_rotor=scenario.locked_rotor)
     loop = ClosedLoop(model, (driven,))
     loop.advance(n)
@@ -104,10 +108,14 @@ def record_motion(
     if pushed and known:
         columns["external_torque"] = external
     return Recording(
-        name=scenario.name, time=found.time, columns=columns, joint=nominal.name,
-        description=scenario.description or scenario.name, link=mounting,
+        name=scenario.name,
+        time=found.time,
+        columns=columns,
+        joint=nominal.name,
+        description=scenario.description or scenario.name,
+        link=mounting,
         external="none" if not pushed else "measured" if known else "unmeasured",
-    )  # fmt: skip
+    )
 
 
 def bare(recording: Recording, rng: np.random.Generator) -> Recording:
