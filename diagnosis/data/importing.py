@@ -475,7 +475,7 @@ def _found(layout: Layout, log: Log) -> tuple[dict[str, ChannelSource], dict[str
         if theirs is None:
             raise InputError(
                 f"{path}: column {column!r}: missing, {target} is made of it (format {layout.name!r})"
-                f"{log.missing(column) or nearest(column, log.names)}"
+                f"{f'; {log.why}' if log.why else nearest(column, log.names)}"
             )
         if log.names.count(theirs) > 1:
             raise InputError(f"{path}: column {column!r}: expected once, found {log.names.count(theirs)} times")

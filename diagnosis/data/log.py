@@ -22,6 +22,8 @@ class Log:
     names: list[str]
     note = ""
     """What was left out, or read otherwise than it says."""
+    why = ""
+    """Why a column may not be found."""
     units: Mapping[str, str] = {}
     """Of columns, in small letters, where the log has a row of them."""
 
@@ -35,10 +37,6 @@ class Log:
             if len(found) == 1:
                 return found[0]
         return None
-
-    def missing(self, column: str) -> str:
-        """Why a column is not found, where there is more to say than that."""
-        return ""
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
         """Columns as numbers, dates or clock times, shape (n,) each, of the same length; NaN or NaT for a cell that is none."""

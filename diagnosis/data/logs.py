@@ -342,7 +342,7 @@ class _Text(Log):
         self.path = path
         self._table = TextTable(path, _bytes(source), wanted, form.text)
         self.names = self._table.names
-        self.units = self._table.head.units
+        self.units, self.why = self._table.head.units, self._table.head.why
         torn = self._table.torn
         self.note = f"the last line is left out: it is incomplete ({torn[:40]!r})" if torn else ""
         self._turns = next((k for pattern, k in form.interleaved.items() if fnmatchcase(path.name, pattern)), 0)
@@ -350,9 +350,6 @@ class _Text(Log):
             if len(self.names) != 1:
                 raise InputError(f"{path}: interleaved: expected one number a line, got {len(self.names)} columns")
             self.names = [str(k) for k in range(self._turns)]
-
-    def missing(self, column: str) -> str:
-        return f"; {self._table.head.why}" if self._table.head.why else ""
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
         if not self._turns:

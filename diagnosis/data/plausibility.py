@@ -129,60 +129,26 @@ def smallest_step(x: np.ndarray) -> float:
 @kernel
 def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
     """Fit y = A β within bounds, by iterated weights and coordinate descent, in place; return the log likelihood with priors."""
-    n, p = A.shape
     beta[:] = centre
-    G, g = np.empty((p, p)), np.empty(p)
-    w = np.empty(n)
-    before = np.empty(p)
+    prior = 1.0 / (spread * spread)
     for _ in range(10):
-        before[:] = beta
-        for i in range(n):
-            r = y[i]
-            for a in range(p):
-                r -= A[i, a] * beta[a]
-            s2 = sigma[i] * sigma[i]
-            w[i] = weight * (_FREEDOM + 1.0) / (_FREEDOM * s2 + r * r)
-        G[:] = 0.0
-        g[:] = 0.0
-        for i in range(n):
-            for a in range(p):
-                wa = w[i] * A[i, a]
-                g[a] += wa * y[i]
-                for b in range(a + 1):
-                    G[a, b] += wa * A[i, b]
-        for a in range(p):
-            for b in range(a):
-                G[b, a] = G[a, b]
-            G[a, a] += 1.0 / (spread[a] * spread[a])
-            g[a] += centre[a] / (spread[a] * spread[a])
+        before = beta.copy()
+        r = y - A @ beta
+        w = weight * (_FREEDOM + 1.0) / (_FREEDOM * sigma * sigma + r * r)
+        weighted = np.ascontiguousarray((A * w.reshape(-1, 1)).T)
+        G, g = weighted @ A + np.diag(prior), weighted @ y + centre * prior
         for _ in range(60):
             change = 0.0
-            for a in range(p):
-                s = g[a]
-                for b in range(p):
-                    if b != a:
-                        s -= G[a, b] * beta[b]
-                best = min(max(s / G[a, a], low[a]), high[a])
+            for a in range(len(beta)):
+                best = min(max(beta[a] + (g[a] - G[a] @ beta) / G[a, a], low[a]), high[a])
                 change = max(change, abs(best - beta[a]) / spread[a])
                 beta[a] = best
             if change < 1e-4:
                 break
-        moved = 0.0
-        for a in range(p):
-            moved = max(moved, abs(beta[a] - before[a]) / spread[a])
-        if moved < 1e-3:
+        if np.max(np.abs(beta - before) / spread) < 1e-3:
             break
-    total = 0.0
-    for i in range(n):
-        r = y[i]
-        for a in range(p):
-            r -= A[i, a] * beta[a]
-        u = r / sigma[i]
-        total -= weight * (0.5 * (_FREEDOM + 1.0) * np.log1p(u * u / _FREEDOM))
-    for a in range(p):
-        u = (beta[a] - centre[a]) / spread[a]
-        total -= 0.5 * u * u
-    return total
+    u, v = (y - A @ beta) / sigma, (beta - centre) / spread
+    return -0.5 * (weight * (_FREEDOM + 1.0) * np.sum(np.log1p(u * u / _FREEDOM)) + np.sum(v * v))
 
 
 class _Shape(NamedTuple):
