@@ -473,7 +473,7 @@ def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1)
     external: Literal["none", "unmeasured"] = "unmeasured" if e.locked else "none"
     whole = replace(found, name=e.name, joint=described.name, columns=kept, external=external)
     every = max(round(e.interval / float(found.time[1] - found.time[0])), 1)
-    return whole.at(slice(None, None, every)) if every > 1 else whole
+    return whole.at(slice(None, None, every))
 
 
 def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> list[PlannedExperiment]:
@@ -573,10 +573,8 @@ def _motions(bench: _Bench) -> Iterator[PlannedExperiment]:
     points = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
     text = f"Hold still at seven angles within {span(reach)}, each reached from both sides"
     yield bench.experiment("rest_poses", text, points)
-    wide = min(1.4 * reach, 2.4)
-    if wide > 1.2 * reach or reach < SETTINGS.range:
-        text = f"Move the link as far as {span(wide)} and back, 8 s each way"
-        yield bench.experiment("larger_range", text, bench.sweeps(wide, 8.0))
+    text = f"Move the link as far as {span(1.4 * reach)} and back, 8 s each way"
+    yield bench.experiment("larger_range", text, bench.sweeps(1.4 * reach, 8.0))
 
 
 def _loads(bench: _Bench, measurement: Measurement) -> Iterator[PlannedExperiment]:
@@ -614,20 +612,16 @@ def _with_equipment(bench: _Bench) -> Iterator[PlannedExperiment]:
             winding, Mounting(inertia=LOCKED, gravity_moment=0.0), effort=SETTINGS.effort[1], locked=True, controller=soft,
             channels=bench.channels | {"link_position"},
         )  # fmt: skip
-    for column, text, warming in (
-        ("motor_position", "Add the motor's encoder (column motor_position), ", 0.0),
-        ("link_position", "Add a second encoder, at the link (column link_position), ", 0.0),
-        ("joint_torque", "Add a torque sensor at the output (column joint_torque), ", 0.0),
-        (
-            "temperature",
-            f"Record the gear's temperature (column temperature) from cold until {SETTINGS.warming:g} K warmer, ",
-            SETTINGS.warming,
-        ),
-    ):  # fmt: skip
+    for column, text in {
+        "motor_position": "Add the motor's encoder (column motor_position),",
+        "link_position": "Add a second encoder, at the link (column link_position),",
+        "joint_torque": "Add a torque sensor at the output (column joint_torque),",
+        "temperature": f"Record the gear's temperature (column temperature) from cold until {SETTINGS.warming:g} K warmer,",
+    }.items():
         if column not in bench.channels:
             yield bench.experiment(
-                f"with_{column}", f"{text}and {bench.motion}", bench.sweeps(), effort=SETTINGS.effort[2],
-                channels=bench.channels | {column}, warming=warming,
+                f"with_{column}", f"{text} and {bench.motion}", bench.sweeps(), effort=SETTINGS.effort[2],
+                channels=bench.channels | {column}, warming=SETTINGS.warming if column == "temperature" else 0.0,
             )  # fmt: skip
 
 

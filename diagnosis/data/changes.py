@@ -188,7 +188,9 @@ def undone(
         elif m.name == "late":
             found[column] = np.interp(time + (m.seconds or 0.0), time, x)
         elif m.name == "velocity":
-            found[column] = _integral(time, factor * x)
+            v = factor * x.reshape(len(x), -1)
+            angle = cumulative_trapezoid(v[:, 0], time, initial=0.0)
+            found[column] = np.column_stack([angle, *v[:, :2].T]) if x.ndim > 1 else angle
             guide = next((n for n in (*POSITIONS, "position_command") if n in found and n != column), None)
             if guide is not None:
                 off = side(column, guide, N) * found[guide] - found[column]
@@ -227,13 +229,6 @@ def _plus(x: np.ndarray, offset: float) -> np.ndarray:
 def _in_time(x: np.ndarray, factor: float) -> np.ndarray:
     """Rescale derivatives for a unit of time of `factor` seconds."""
     return x if x.ndim == 1 else x / np.array([1.0, factor, factor**2])
-
-
-def _integral(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Integrate a velocity from zero, by trapezoids; keep derivatives if it has any."""
-    v = velocity if velocity.ndim == 1 else velocity[:, 0]
-    x = cumulative_trapezoid(v, time, initial=0.0)
-    return x if velocity.ndim == 1 else np.column_stack([x, velocity[:, 0], velocity[:, 1]])
 
 
 @dataclass(frozen=True)
