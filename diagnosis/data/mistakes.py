@@ -352,11 +352,10 @@ class _Search:
                 continue
             tried = [self._tried(m, i, state) for i in range(len(state.fits))]
             gains, least = [one.more - one.cost for one in tried], m.price + SETTINGS.sure
-            chosen = {i for i, gain in enumerate(gains) if min(gains) > SETTINGS.worse or gain > least}
+            chosen = [i for i, gain in enumerate(gains) if min(gains) > SETTINGS.worse or gain > least]
             if chosen:  # a change also holds where channels fit only with it, even if torques shrink
-                only = [_suspicious(one.before) and not _suspicious(one.after) for one in tried]
-                chosen |= {i for i, one in enumerate(tried) if only[i] and one.more > least}
-            chosen = sorted(chosen)
+                only = [_suspicious(one.before) and not _suspicious(one.after) and one.more > least for one in tried]
+                chosen = [i for i in range(len(tried)) if i in chosen or only[i]]
             if not chosen or not self._leaves_motion(m, [tried[i] for i in chosen]):
                 continue  # a link at rest fits any torque
             everywhere = all(i in chosen or one.after is one.before for i, one in enumerate(tried))

@@ -168,7 +168,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
     if recording.external == "unmeasured":  # pushes have no shape
         pairs = []
     if len(positions) == 2:
-        pairs.append(POSITIONS)
+        pairs.append((positions[0], positions[1]))
     # The least residual that counts: wind-up [rad], current [A] or torque [N·m].
     least_of = dict.fromkeys(POSITIONS, SETTINGS.wind_up * value["rated_torque"] / value["K1"])
     least_of["joint_torque"] = SETTINGS.torque * value["rated_torque"]

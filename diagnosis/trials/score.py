@@ -416,7 +416,8 @@ def reliability(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, 
 def found_nine_in_ten(outcomes: Sequence[Outcome]) -> float | None:
     """Smallest size at which, and above which, nine in ten first causes are right, between sizes on the log scale; None where
     not even the largest size reaches that."""
-    best, above = None, np.nan
+    best: float | None = None
+    above = np.nan
     for size in sorted({o.size for o in outcomes}, reverse=True):
         share = rate([o for o in outcomes if o.size == size], lambda o: o.first_right).share
         if share < 0.9:
