@@ -478,45 +478,30 @@ def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1)
 
 def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> list[PlannedExperiment]:
     """Return possible experiments: motions, loads, a locked output, one more sensor."""
-    bench = _Bench.of(measurement, joint, diagnosis)
+    bench = _Bench(measurement, joint, diagnosis)
     return [*_motions(bench), *_loads(bench, measurement), *_with_equipment(bench)]
 
 
-@dataclass(frozen=True)
 class _Bench:
     """What an experiment can do with a joint."""
 
-    joint: Joint  # its description
-    p: np.void  # record of the joint that was found
-    link: Mounting  # the heaviest load of the measurement
-    channels: frozenset[str]  # columns that it recorded
-    interval: float  # between samples [s]
-    low: float  # range of the link that the measurement visited [rad]
-    high: float  # likewise
-    centre: float  # of the motions proposed [rad]
-    reach: float  # likewise
-
-    @classmethod
-    def of(cls, measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> _Bench:
-        """Return the bench on which a measurement was made."""
-        p, recordings = diagnosis.extended.record()[0], measurement.recordings
+    def __init__(self, measurement: Measurement, joint: Joint, diagnosis: Diagnosis):
+        recordings = measurement.recordings
+        self.joint, self.rated = joint, joint.numbers["rated_torque"].value  # [N·m]
+        self.p = diagnosis.extended.record()[0]  # of the joint that was found
         links = [r.link for r in recordings if not r.link.locked] or [joint.mount()]
-        channels = frozenset(name for r in recordings for name in r.columns) & {
+        self.link = max(links, key=lambda m: m.gravity_moment)  # the heaviest load of the measurement
+        self.channels = frozenset(name for r in recordings for name in r.columns) & {
             "motor_position", "link_position", "motor_current", "motor_torque", "joint_torque", "temperature",
         }  # fmt: skip
-        N = float(p["N"])
+        self.interval = float(np.median([r.interval for r in recordings]))  # between samples [s]
+        N = float(self.p["N"])
         angles = [r["link_position"] if "link_position" in r else r["motor_position"] / N for r in recordings]
-        low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
-        half = 0.5 * (high - low)
-        return cls(
-            joint, p, max(links, key=lambda m: m.gravity_moment), channels, float(np.median([r.interval for r in recordings])),
-            low, high, 0.0 if abs(low + half) < _ABOUT * half else low + half, float(np.clip(half, 0.4, SETTINGS.range)),
-        )  # fmt: skip
-
-    @property
-    def rated(self) -> float:
-        """Rated torque [N·m]."""
-        return self.joint.numbers["rated_torque"].value
+        # Range of the link that the measurement visited, centre and reach of the motions proposed [rad].
+        self.low, self.high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
+        half = 0.5 * (self.high - self.low)
+        self.centre = 0.0 if abs(self.low + half) < _ABOUT * half else self.low + half
+        self.reach = float(np.clip(half, 0.4, SETTINGS.range))
 
     @property
     def motion(self) -> str:
