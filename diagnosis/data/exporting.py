@@ -69,14 +69,7 @@ def write_mcap(recording: Recording, path: Path) -> None:
                 )  # fmt: skip
             for name, values in columns.items():
                 write(f"/{name}", "std_msgs/msg/Float64", at, data=float(values[k]))
-        writer.add_metadata("flexspline", _told(recording))
-
-
-def _told(recording: Recording) -> dict[str, str]:
-    arm = recording.arm
-    load = {"link": recording.link.model_dump_json()} if arm is None else {"arm": json.dumps(arm.spec.model_dump())}
-    return {
-        "joint": recording.joint,
-        "description": recording.description,
-        "external_torque": recording.external,
-    } | load
+        known = {"joint": recording.joint, "description": recording.description, "external_torque": recording.external}
+        spec = None if recording.arm is None else recording.arm.spec.model_dump()
+        load = {"link": recording.link.model_dump_json()} if spec is None else {"arm": json.dumps(spec)}
+        writer.add_metadata("flexspline", known | load)

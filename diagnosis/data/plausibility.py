@@ -159,9 +159,7 @@ class _Shape(NamedTuple):
     high: float
     centre: float = 0.0
     spread: float | None = None  # a third of the range by default
-    bounding: bool = (
-        False  # whether a coefficient at a bound means a description that is wrong by more than a few times
-    )
+    bounding: bool = False  # whether a bound means a description that is wrong by more than a few times
 
 
 @dataclass(frozen=True)

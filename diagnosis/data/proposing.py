@@ -319,9 +319,8 @@ def proposed(path: Path) -> str:
     if link_side is not None:
         propose("link_position", link_side, *_angle(link_side))
         angle_unit = found["link_position"][0]["unit"]
-        for command in [c for c in columns if c.kind == "position" and c.command and c.of == of and c.side != "motor"][
-            :1
-        ]:
+        commands = [c for c in columns if c.kind == "position" and c.command and c.of == of and c.side != "motor"]
+        for command in commands[:1]:
             quantity, _ = _angle(replace(command, side=""), angle_unit)
             propose("position_command", command, quantity | {"optional": True}, "commanded; unit as of the angle")
     if motor_side is not None:

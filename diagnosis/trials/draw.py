@@ -43,9 +43,7 @@ class Challenge:
     hidden: Hidden = "one"  # one effect, two, one outside the library, or none
     exact: bool = False  # the joint has its nominal numbers, and the diagnosed description has no tolerances
     real: bool = False  # with the small imperfections that every real joint has (`imperfections`)
-    sensor: bool = (
-        True  # with a torque sensor, at 1 kHz; without it irregularly at about 250 Hz, single samples missing
-    )
+    sensor: bool = True  # with a torque sensor, 1 kHz; without it irregular, about 250 Hz, single samples missing
     without: tuple[str, ...] = ()  # channels that are not recorded
     scenarios: tuple[str, ...] = ()  # names or paths of scenarios to use instead of random motions
     only: tuple[str, ...] = ()  # names of the causes (or effects outside the library) to draw from; all if empty
