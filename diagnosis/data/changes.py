@@ -363,9 +363,8 @@ class Table:
         fits = {n: [(p, p.torque(m, n, True).coefficients) for p, m in motions if n in m] for n in columns}
         every = [fit for found in fits.values() for fit in found]
 
-        def weightless(
-            p: Plausibility, c: np.ndarray
-        ) -> bool:  # a torque that is too small as a whole does not lack gravity
+        def weightless(p: Plausibility, c: np.ndarray) -> bool:
+            # A torque that is too small as a whole does not lack gravity.
             return p.heavy and math.hypot(c[1], c[2]) < SETTINGS.none * min(max(c[0], 0.0), 1.0) * p.p["Mg"]
 
         lacking = [name for name, found in fits.items() if all(weightless(p, c) for p, c in found)]
