@@ -395,8 +395,8 @@ def _discrepancy(segment: Segment, joint: Joint, name: str) -> float | np.ndarra
     stated, valid = joint.uncertainty, joint.valid
     if stated is None:
         return 0.0
-    known: dict[str, float] = {"motor_current": 0.0, "link_balance": 0.0, **stated.discrepancy}
-    current, link = known["motor_current"], known["link_balance"]
+    known: dict[str, float] = {balance: rms for balance, rms in stated.discrepancy.items()}
+    current, link = (known.get(balance, 0.0) for balance in ("motor_current", "link_balance"))
     rms = {
         "motor_current": current,
         "motor_torque": current * joint.numbers["Kt"].value,

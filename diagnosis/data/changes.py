@@ -318,8 +318,13 @@ class Table:
             yield _entry("swapped", positions[0], f"this is the {missing} position")
         for column in positions:
             other = 1 / N if column == "link_position" else N
-            units = {"deg/s": _DEGREE, "rpm": _RPM, "rad/s of the other side": other}
-            for said, factor in {"rad/s": None, **units}.items():
+            units: dict[str, float | None] = {
+                "rad/s": None,
+                "deg/s": _DEGREE,
+                "rpm": _RPM,
+                "rad/s of the other side": other,
+            }
+            for said, factor in units.items():
                 price = SETTINGS.price + (0.0 if factor is None else SETTINGS.unusual)
                 yield _entry("velocity", column, f"a velocity ({said}), logged as a position", price, factor=factor)
         if self.still_arm:

@@ -315,7 +315,7 @@ def proposed(path: Path) -> str:
     else:
         found["time"] = ({"rate": 1000}, "FILL IN: no column increases as a time does; this many rows a second")
     motor_side = _measured(columns, "position", of, "motor")
-    angle_unit = None
+    angle_unit = ""
     if link_side is not None:
         propose("link_position", link_side, *_angle(link_side))
         angle_unit = found["link_position"][0]["unit"]
