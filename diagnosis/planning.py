@@ -517,8 +517,8 @@ class _Bench:
             points = [w.model_copy(update={"position": w.command + self.centre}) for w in points]
             if any(not self.low - _FREE <= w.command <= self.high + _FREE for w in points):
                 text += f"; the measurement covers {_angle(self.low)} … {_angle(self.high)} rad: check for collisions beyond"
-        options = {"channels": self.channels, "interval": self.interval} | options
-        return PlannedExperiment(name, text, mounting, tuple(points), **options)
+        options.setdefault("channels", self.channels)
+        return PlannedExperiment(name, text, mounting, tuple(points), interval=self.interval, **options)
 
     def span(self, amplitude: float) -> str:
         """Return the range of a motion, in words."""

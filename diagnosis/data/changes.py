@@ -370,7 +370,7 @@ class Table:
 
         def weightless(p: Plausibility, c: np.ndarray) -> bool:
             # A torque that is too small as a whole does not lack gravity.
-            return p.heavy and math.hypot(c[1], c[2]) < SETTINGS.none * min(max(c[0], 0.0), 1.0) * p.p["Mg"]
+            return p.heavy and math.hypot(c[1], c[2]) < SETTINGS.none * min(max(float(c[0]), 0.0), 1.0) * p.p["Mg"]
 
         lacking = [name for name, found in fits.items() if all(weightless(p, c) for p, c in found)]
         for column in lacking:
