@@ -104,13 +104,15 @@ def collapse(measurement: Measurement, joint: Joint, structure: str, draws: int 
     """
     joint = as_logged(joint, measurement.recordings)
     motion = _motion(measurement, joint)
-    one = motion.fitted([joint.record(s.mounting) for s in motion.segments], structure)
+    one = motion.fitted(motion.records(joint), structure)
     before = measurement.load_joint() if measurement.recordings[0].joint else joint
     nominal = None
     if before.numbers != joint.numbers or before.effects != joint.effects:
-        described = motion.fitted([before.record(s.mounting) for s in motion.segments], structure)
+        described = motion.fitted(motion.records(before), structure)
         nominal = _rms(described.written - described.measured)
     error = one.written - one.measured
+    changes = drawn_changes(joint, draws, seed)
+    drawn = ([moved(joint, s.mounting, change) for s in motion.segments] for change in changes)
     return Collapse(
         structure=structure,
         parameters=one.parameters,
@@ -120,7 +122,7 @@ def collapse(measurement: Measurement, joint: Joint, structure: str, draws: int 
         worst=_worst(error, one),
         samples=len(error),
         visited=(float(np.max(np.abs(one.speed))), float(np.max(np.abs(one.load)))),
-        draws=tuple(motion.drawn(joint, structure, draws, seed)),
+        draws=tuple(motion.fitted(records, structure).parameters for records in drawn),
     )
 
 
@@ -143,7 +145,17 @@ def feed_forward_error(measurement: Measurement, joint: Joint) -> FeedForwardErr
     Raises:
       InputError: a measurement without current, or without motion in held-out blocks.
     """
-    return _motion(measurement, as_logged(joint, measurement.recordings)).feed_forward_error(joint)
+    motion = _motion(measurement, as_logged(joint, measurement.recordings))
+    records = motion.records(joint)
+    _, link = motion.replayed(records)
+    held, p = motion.held, steady(records[0])[0]
+    load = link[:, 3] + p["bl"] * link[:, 1]
+    temperature = np.concatenate([decimate(s.temperature) for s in motion.segments])
+    _, w, a = motion.rotor.T
+    rest = (motion.measured - p["current_offset"] - ((p["Jm"] + p["Jw"]) * a + load / p["N"]) / p["Kt"])[held]
+    points = np.column_stack([w / p["N"], load, temperature])[held]
+    forward = np.array([friction(*point, p) for point in points]) / p["Kt"]
+    return FeedForwardError(_rms(rest - forward), _rms(rest), len(rest))
 
 
 @dataclass(frozen=True)
@@ -171,11 +183,15 @@ class _Motion:
         held = [~s.at_rest & s.held_out[:, CURRENT] for s in self.segments]
         if not (sum(map(np.sum, kept)) and sum(map(np.sum, held))):
             raise InputError(f"{path}: expected more than three seconds in motion, got less")
-        self._kept, self._held = np.concatenate(kept), np.concatenate(held)
-        self._rotor = np.concatenate([decimate(s.rotor) for s in self.segments])
-        self._measured = np.concatenate([s.measured[:, CURRENT] for s in self.segments])
+        self.kept, self.held = np.concatenate(kept), np.concatenate(held)
+        self.rotor = np.concatenate([decimate(s.rotor) for s in self.segments])
+        self.measured = np.concatenate([s.measured[:, CURRENT] for s in self.segments])
 
-    def _replayed(self, records: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def records(self, joint: Joint) -> list[np.ndarray]:
+        """Return a joint's parameters with the load of each segment."""
+        return [joint.record(s.mounting) for s in self.segments]
+
+    def replayed(self, records: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return `_replayed` of all segments, a record for each."""
         each = parallel(_replayed, list(zip(self.segments, records, strict=True)))
         current, motion = zip(*each, strict=True)
@@ -183,25 +199,25 @@ class _Motion:
 
     def fitted(self, records: Sequence[np.ndarray], structure: str) -> _Fitted:
         """A structure fitted to the laws of a joint, a record for every segment."""
-        full, link = self._replayed(records)
+        full, link = self.replayed(records)
         q, v, _, load = link.T
         p = records[0][0]
         if structure == "two_bodies":
-            columns, known = _two_bodies(self._rotor, load + p["bl"] * v, p)
+            columns, known = _two_bodies(self.rotor, load + p["bl"] * v, p)
             X = fitted = np.stack(columns, axis=1)
         else:
             # Fitted to the drive's own motion, as the link's does not have the rotor's acceleration; errors are on the link's.
-            drive = np.column_stack([q, self._rotor[:, 1:] / p["N"]])
+            drive = np.column_stack([q, self.rotor[:, 1:] / p["N"]])
             fitted, X = (np.stack(_hinge(x, p, structure), axis=1) for x in (drive, link[:, :3]))
             known = load / p["N"] / p["Kt"]
         free = np.arange(X.shape[1]) == 4  # the spring's rest angle times its stiffness has either sign
         y = full - known - p["current_offset"]
-        scale = np.linalg.norm(fitted[self._kept], axis=0) + 1e-300
+        scale = np.linalg.norm(fitted[self.kept], axis=0) + 1e-300
         bounds = np.where(free, -np.inf, 0.0), np.inf
-        fit = lsq_linear(fitted[self._kept] / scale, y[self._kept], bounds=bounds).x / scale
+        fit = lsq_linear(fitted[self.kept] / scale, y[self.kept], bounds=bounds).x / scale
         written = X @ fit + known + p["current_offset"]
         named = _two_bodies_named if structure == "two_bodies" else _hinge_named
-        held = self._held
+        held = self.held
         limits = {
             "N": float(p["N"]),
             "torque_constant": float(p["N"] * p["Kt"]),
@@ -210,32 +226,14 @@ class _Motion:
         }
         visited = float(np.max(np.abs(load)))
         return _Fitted(
-            named(fit, p, structure, visited) | limits, self._measured[held], full[held], written[held],
+            named(fit, p, visited) | limits, self.measured[held], full[held], written[held],
             v[held], load[held], q[held],
         )  # fmt: skip
 
     def full_error(self, joint: Joint) -> float:
         """RMS error [A] of the current by the joint's own laws on held-out motion."""
-        current, _ = self._replayed([joint.record(s.mounting) for s in self.segments])
-        return _rms((current - self._measured)[self._held])
-
-    def feed_forward_error(self, joint: Joint) -> FeedForwardError:
-        records = [joint.record(s.mounting) for s in self.segments]
-        _, link = self._replayed(records)
-        held, p = self._held, steady(records[0])[0]
-        load = link[:, 3] + p["bl"] * link[:, 1]
-        temperature = np.concatenate([decimate(s.temperature) for s in self.segments])
-        _, w, a = self._rotor.T
-        rest = (self._measured - p["current_offset"] - ((p["Jm"] + p["Jw"]) * a + load / p["N"]) / p["Kt"])[held]
-        points = np.column_stack([w / p["N"], load, temperature])[held]
-        forward = np.array([friction(*point, p) for point in points]) / p["Kt"]
-        return FeedForwardError(_rms(rest - forward), _rms(rest), len(rest))
-
-    def drawn(self, joint: Joint, structure: str, draws: int, seed: int) -> list[dict[str, Any]]:
-        """Parameters of joints drawn from what is not known of one."""
-        changes = drawn_changes(joint, draws, seed)
-        records = [[moved(joint, s.mounting, change) for s in self.segments] for change in changes]
-        return [self.fitted(one, structure).parameters for one in records]
+        current, _ = self.replayed(self.records(joint))
+        return _rms((current - self.measured)[self.held])
 
 
 def _motion(measurement: Measurement, joint: Joint) -> _Motion:
@@ -273,7 +271,7 @@ def _hinge(motion: np.ndarray, p: np.void, structure: str) -> list[np.ndarray]:
     return columns
 
 
-def _hinge_named(found: np.ndarray, p: np.void, structure: str, visited: float) -> dict[str, Any]:
+def _hinge_named(found: np.ndarray, p: np.void, visited: float) -> dict[str, Any]:
     names = ("armature", "damping", "frictionloss", "stiffness")
     values = dict.fromkeys(names, 0.0) | {name: float(x) for name, x in zip(names, found, strict=False)}
     stiff = len(found) > 4 and values["stiffness"] > 0.0
@@ -295,7 +293,7 @@ def _cogging(p: np.void) -> tuple[float, float, float]:
     return float(p["cogging_order"][k]), float(p["cogging_amplitude"][k]), float(p["cogging_phase"][k])
 
 
-def _two_bodies_named(found: np.ndarray, p: np.void, structure: str, visited: float) -> dict[str, Any]:
+def _two_bodies_named(found: np.ndarray, p: np.void, visited: float) -> dict[str, Any]:
     inertia, damping, friction = (float(x) for x in found)
     torque = np.linspace(0.0, max(visited, float(p["T1"])), 101)[1:]
     torsion = np.array(

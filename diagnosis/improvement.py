@@ -86,10 +86,8 @@ class Improvement:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement | None:
-    """Return the error of estimators before and after, over the parts that a diagnosis uses (`most_telling`).
-
-    None where nothing was measured to compare them with, or nothing was computed.
-    """
+    """Return the error of estimators before and after, over the parts that a diagnosis uses (`most_telling`); None where nothing
+    was measured to compare them with, or nothing was computed."""
     measurement = most_telling(measurement)  # the same recordings and places as in the diagnosis
     quantity, sensed = _sensed(measurement)
     if not sensed or diagnosis.problem is None or diagnosis.search is None:
@@ -103,8 +101,8 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
             for known in (before, diagnosis.unseen or diagnosis.extended)
         ]
         done = iter([task.result() for task in tasks])
-    pairs = [(index, recording, next(done), next(done)) for index, recording in sensed]
-    names = [name for name in ESTIMATORS if all(name in _of(e, quantity) for _, _, *es in pairs for e in es)]
+    pairs = [(index, recording, (next(done), next(done))) for index, recording in sensed]
+    names = [name for name in ESTIMATORS if all(name in _of(e, quantity) for *_, both in pairs for e in both)]
     main = next((name for name in MAIN if name in names), None)
     if main is None:
         return None
@@ -119,11 +117,7 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
         noise=joint.sensors.joint_torque.noise if quantity == "joint_torque" else 0.0,
         known_before="the calibrated joint without the causes" if diagnosis.causes else "the description as it came",
         traces=tuple(
-            Trace(
-                recording.name, recording.time - recording.time[0], recording[quantity], _of(a, quantity)[main],
-                _of(b, quantity)[main],
-            )
-            for _, recording, a, b in pairs
+            Trace(r.name, r.time - r.time[0], r[quantity], *(_of(e, quantity)[main] for e in both)) for _, r, both in pairs
         ),
     )  # fmt: skip
 
@@ -175,12 +169,13 @@ def _of(estimates: Estimates, quantity: str) -> Mapping[str, np.ndarray]:
     return estimates.torque if quantity == "joint_torque" else estimates.external_torque
 
 
-_Pair = tuple[int, Recording, Estimates, Estimates]
+_Pair = tuple[int, Recording, tuple[Estimates, Estimates]]
+"""A recording with its place in the measurement, and its estimates before and after."""
 
 
 def _errors(pairs: Sequence[_Pair], quantity: str, name: str, use: Sequence[np.ndarray]) -> tuple[float, float]:
     """RMS [N·m] before and after over some samples, one mask a recording."""
-    before, after = (_rms([(recording, both[k]) for _, recording, *both in pairs], quantity, name, use) for k in (0, 1))
+    before, after = (_rms([(recording, both[k]) for _, recording, both in pairs], quantity, name, use) for k in (0, 1))
     return before, after
 
 
@@ -208,20 +203,19 @@ def _in_regions(diagnosis: Diagnosis, pairs: Sequence[_Pair], quantity: str, nam
 
     def unseen(region: str) -> list[Estimates]:
         if diagnosis.share == 0.0:  # nothing of the fit is in the extended joint
-            return [after for *_, after in pairs]
+            return [after for *_, (_, after) in pairs]
         theta = final.theta + diagnosis.share * system.without(masks[region])
         records = dict(zip((s.recording for s in problem.segments), problem.records(theta, final.model), strict=True))
         return [
             estimate_recording(recording, diagnosis.extended, (name,), record=records[index]) if use.any() else after
-            for (index, recording, _, after), use in zip(pairs, where[region], strict=True)
+            for (index, recording, (_, after)), use in zip(pairs, where[region], strict=True)
         ]
 
-    with ThreadPoolExecutor(2) as pool:
-        found = dict(zip(masks, pool.map(unseen, masks), strict=True))
+    visited = [region for region in masks if any(use.any() for use in where[region])]
     errors = []
-    for region, estimates in found.items():
-        if any(use.any() for use in where[region]):
-            seen = [(i, r, before, e) for (i, r, before, _), e in zip(pairs, estimates, strict=True)]
+    with ThreadPoolExecutor(2) as pool:
+        for region, estimates in zip(visited, pool.map(unseen, visited), strict=True):
+            seen = [(i, r, (before, e)) for (i, r, (before, _)), e in zip(pairs, estimates, strict=True)]
             errors.append(RegionError(region, *_errors(seen, quantity, name, where[region])))
     return tuple(sorted(errors, key=lambda e: -e.after / max(e.before, 1e-12)))
 

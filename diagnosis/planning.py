@@ -16,6 +16,7 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -32,7 +33,7 @@ from ..models.signals import POSITIONS
 from ..scenarios.scenario import Scenario, Waypoint
 from ..sim.plant import TIMESTEP
 from .data import coverage
-from .data.segments import BALANCES, segments
+from .data.segments import segments
 from .extension import value_and_std
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.noise import Noise, sensor_noise, whiten
@@ -113,10 +114,15 @@ class Question:
     def answer(self, expected: float, brief: bool = False) -> str:
         """Return the expected answer as text, without `verb`; `brief`: without the unit."""
         if self.parameter:
-            return f"{self.subject} to ±{_percent(expected)} (now ±{_percent(self.now)})"
+            after, now = (f"±{100 / max(z, 1e-9):.2g} %" for z in (expected, self.now))
+            return f"{self.subject} to {after} (now {now})"
         link = "apart by" if len(self.names) > 1 else "by"
         unit = "" if brief else " standard deviations"
         return f"{self.subject} {link} {_count(expected)}{unit} (now {_count(self.now)})"
+
+    def progress(self, expected: float) -> float:
+        """Return the part of the needed strength that an experiment adds."""
+        return (min(expected, self.needed) - self.now) / self.needed
 
     @property
     def verb(self) -> str:
@@ -126,10 +132,6 @@ class Question:
 
 def _count(z: float) -> str:
     return "more than 100" if z > 100 else f"{z:.0f}" if z >= 9.95 or z < 0.05 else f"{z:.1f}"
-
-
-def _percent(z: float) -> str:
-    return f"{100 / max(z, 1e-9):.2g} %"
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ class Plan:
 
     def sentence(self, proposal: Proposal, most: int = 5) -> str:
         """Return the instructions and the expected answers to at most `most` questions."""
-        gains = [(_progress(q, e), q, e) for q, e in zip(self.questions, proposal.expected, strict=True)]
+        gains = [(q.progress(e), q, e) for q, e in zip(self.questions, proposal.expected, strict=True)]
         gains = sorted((g for g in gains if g[0] > SETTINGS.least), key=lambda g: -g[0])
         by_verb: dict[str, list[str]] = {}
         for _, q, e in gains[:most]:
@@ -234,12 +236,12 @@ def plan(measurement: Measurement, diagnosis: Diagnosis) -> Plan:
         noise = _expected_noise(new, at, problem)
         together = replace(measurement, recordings=(*thin, _thin(recording)))
         more = state.information(new, noise, new.jacobian(at.theta, at.model), _shown(together, tried))
-        lacking = set(missing) & set(coverage.undetermined(together, joint))
+        lacking = missing.keys() & coverage.undetermined(together, joint).keys()
         expected = tuple(
             q.now if lacking.intersection(q.names) else max(q.now, state.strength(q, known + more, known))
             for q in questions
         )
-        progress = [_progress(q, z) for q, z in zip(questions, expected, strict=True)]
+        progress = [q.progress(z) for q, z in zip(questions, expected, strict=True)]
         if max(progress) < SETTINGS.least:
             return None
         weighted = sum(
@@ -258,11 +260,6 @@ def _thin(recording: Recording) -> Recording:
     """Return a recording with the samples that its range and speed need."""
     every = max(min(int(_THIN / recording.interval), len(recording.time) // 2), 1)
     return recording.at(slice(None, None, every))
-
-
-def _progress(q: Question, expected: float) -> float:
-    """Return the part of the needed strength that an experiment adds."""
-    return (min(expected, q.needed) - q.now) / q.needed
 
 
 # --- the questions ---------------------------------------------------------------------------------------------------
@@ -344,10 +341,8 @@ def _shown(measurement: Measurement, tried: Sequence[Hypothesis]) -> set[str]:
 
 
 class _State:
-    """Linearisation at a fit, extended by hypotheses that are not in its model.
-
-    Columns of the information: the fit's unknowns, then the magnitudes of every hypothesis.
-    """
+    """Linearisation at a fit, extended by hypotheses that are not in its model. Columns of the information: the fit's unknowns,
+    then the magnitudes of every hypothesis."""
 
     def __init__(self, problem: Problem, at: Fit, tried: list[Hypothesis]):
         self.problem, self.at, self.tried = problem, at, tried
@@ -355,14 +350,13 @@ class _State:
         self.precision = 1 / problem.spread(at.model) ** 2
         self.model_blocks = [_columns(problem, at, i) for i in range(len(at.model))]
         self.tried_blocks: list[np.ndarray] = []
-        for h in tried:
-            self.tried_blocks.append(np.arange(self.columns, self.columns + len(h.magnitudes)))
-            self.columns += len(h.magnitudes)
         self.blocks: dict[str, list[np.ndarray]] = {}
         for h, block in zip(at.model, self.model_blocks, strict=True):
             self.blocks.setdefault(h.cause.name, []).append(block[h.magnitudes])
-        for h, block in zip(tried, self.tried_blocks, strict=True):
-            self.blocks.setdefault(h.cause.name, []).append(block)
+        for h in tried:
+            self.tried_blocks.append(np.arange(self.columns, self.columns + len(h.magnitudes)))
+            self.columns += len(h.magnitudes)
+            self.blocks.setdefault(h.cause.name, []).append(self.tried_blocks[-1])
 
     def information(self, problem: Problem, noise: Noise, jacobian: Columns, shown: set[str]) -> np.ndarray:
         """Return the Fisher information of data, shape (columns, columns); zero for causes that are not `shown`."""
@@ -380,10 +374,8 @@ class _State:
         """Return the question with the strength of the measurement's answer."""
         if asked.parameter:
             return asked
-        now = self.strength(asked, known, known)
-        if set(missing).intersection(asked.names):
-            now = min(now, 0.9 * asked.needed)  # the motion or the channels cannot show it
-        return replace(asked, now=now)
+        most = 0.9 * asked.needed if missing.keys() & set(asked.names) else np.inf  # motion or channels cannot show it
+        return replace(asked, now=min(self.strength(asked, known, known), most))
 
     def strength(self, q: Question, information: np.ndarray, before: np.ndarray) -> float:
         """Return the strength of an answer with some information; `before`: of the measurement alone."""
@@ -397,8 +389,8 @@ class _State:
         columns = np.concatenate(own)
         cross = information[np.ix_(answering, columns)]
         left = information[np.ix_(columns, columns)] - cross.T @ np.linalg.solve(H, cross)
-        ends = np.cumsum([len(block) for block in own]).tolist()
-        places = [slice(end - len(block), end) for end, block in zip(ends, own, strict=True)]
+        ends = np.cumsum([0, *map(len, own)]).tolist()
+        places = [slice(begin, end) for begin, end in pairwise(ends)]
         if len(q.names) == 1:
             strengths = [float(np.trace(left[p, p]) / max(p.stop - p.start, 1)) for p in places]
             return float(np.sqrt(max(np.median(strengths), 0.0)))
@@ -422,18 +414,13 @@ class _State:
 
 
 def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
-    """Return the expected noise of a simulated recording: sensor noise and the learned model discrepancy.
-
-    A new balance gets the largest discrepancy of the others, as a torque at the output.
-    """
+    """Return the expected noise of a simulated recording: sensor noise and the learned model discrepancy; of a new balance the
+    largest of the others, as a torque at the output."""
     point = evaluate_point(new, at.theta, at.model)
     formed = np.any([s.balances for s in old.segments], axis=0)
-    scale = old.output_scale
-    known = at.noise.discrepancy * scale[:, None]
-    discrepancy = at.noise.discrepancy.copy()
-    for b in range(len(BALANCES)):
-        if not formed[b]:
-            discrepancy[b] = np.max(known[formed], axis=0, initial=0.0) / scale[b]
+    scale = old.output_scale[:, None]
+    largest = np.max((at.noise.discrepancy * scale)[formed], axis=0, initial=0.0)
+    discrepancy = np.where(formed[:, None], at.noise.discrepancy, largest / scale)
     typical = np.maximum(np.median(at.noise.rest, axis=0), new.quantum())
     rest = np.tile(np.where(formed, typical, new.quantum()), (len(new.segments), 1))
     return Noise(sensor_noise(new.segments, point.noise), discrepancy, rest, at.noise.bands)
@@ -464,13 +451,8 @@ class PlannedExperiment:
 
 
 def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1) -> Recording:
-    """Simulate an experiment on a joint.
-
-    Args:
-      joint: with its assumed numbers, sensors and effects.
-      described: description with the drive's torque constant.
-      seed: of the sensors' noise.
-    """
+    """Simulate an experiment on a joint, with its assumed numbers, sensors and effects; `described`: with the drive's torque
+    constant; `seed`: of the sensors' noise."""
     record = joint.record(e.mounting)
     p = record[0]
     slow = np.sqrt((p["K1"] + p["K2"] + p["K3"]) / p["Jl"]) * _TIMESTEP < _RESOLVED
@@ -491,50 +473,35 @@ def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1)
     external: Literal["none", "unmeasured"] = "unmeasured" if e.locked else "none"
     whole = replace(found, name=e.name, joint=described.name, columns=kept, external=external)
     every = max(round(e.interval / float(found.time[1] - found.time[0])), 1)
-    return whole.at(slice(None, None, every)) if every > 1 else whole
+    return whole.at(slice(None, None, every))
 
 
 def experiments(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> list[PlannedExperiment]:
     """Return possible experiments: motions, loads, a locked output, one more sensor."""
-    bench = _Bench.of(measurement, joint, diagnosis)
-    return [*_motions(bench), *_loads(bench, measurement), *_locked_output(bench), *_sensors(bench)]
+    bench = _Bench(measurement, joint, diagnosis)
+    return [*_motions(bench), *_loads(bench, measurement), *_with_equipment(bench)]
 
 
-@dataclass(frozen=True)
 class _Bench:
     """What an experiment can do with a joint."""
 
-    joint: Joint  # its description
-    p: np.void  # record of the joint that was found
-    link: Mounting  # the heaviest load of the measurement
-    channels: frozenset[str]  # columns that it recorded
-    interval: float  # between samples [s]
-    low: float  # range of the link that the measurement visited [rad]
-    high: float  # likewise
-    centre: float  # of the motions proposed [rad]
-    reach: float  # likewise
-
-    @classmethod
-    def of(cls, measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> _Bench:
-        """Return the bench on which a measurement was made."""
-        p, recordings = diagnosis.extended.record()[0], measurement.recordings
+    def __init__(self, measurement: Measurement, joint: Joint, diagnosis: Diagnosis):
+        recordings = measurement.recordings
+        self.joint, self.rated = joint, joint.numbers["rated_torque"].value  # [N·m]
+        self.p = diagnosis.extended.record()[0]  # of the joint that was found
         links = [r.link for r in recordings if not r.link.locked] or [joint.mount()]
-        channels = frozenset(name for r in recordings for name in r.columns) & {
+        self.link = max(links, key=lambda m: m.gravity_moment)  # the heaviest load of the measurement
+        self.channels = frozenset(name for r in recordings for name in r.columns) & {
             "motor_position", "link_position", "motor_current", "motor_torque", "joint_torque", "temperature",
         }  # fmt: skip
-        N = float(p["N"])
+        self.interval = float(np.median([r.interval for r in recordings]))  # between samples [s]
+        N = float(self.p["N"])
         angles = [r["link_position"] if "link_position" in r else r["motor_position"] / N for r in recordings]
-        low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
-        half = 0.5 * (high - low)
-        return cls(
-            joint, p, max(links, key=lambda m: m.gravity_moment), channels, float(np.median([r.interval for r in recordings])),
-            low, high, 0.0 if abs(low + half) < _ABOUT * half else low + half, float(np.clip(half, 0.4, SETTINGS.range)),
-        )  # fmt: skip
-
-    @property
-    def rated(self) -> float:
-        """Rated torque [N·m]."""
-        return self.joint.numbers["rated_torque"].value
+        # Range of the link that the measurement visited, centre and reach of the motions proposed [rad].
+        self.low, self.high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
+        half = 0.5 * (self.high - self.low)
+        self.centre = 0.0 if abs(self.low + half) < _ABOUT * half else self.low + half
+        self.reach = float(np.clip(half, 0.4, SETTINGS.range))
 
     @property
     def motion(self) -> str:
@@ -545,12 +512,12 @@ class _Bench:
         self, name: str, text: str, points: Sequence[Waypoint], mounting: Mounting | None = None, **options: Any
     ) -> PlannedExperiment:
         """Return an experiment with a motion about the centre."""
-        mounting = self.link if mounting is None else mounting
-        options.setdefault("channels", self.channels)
+        mounting = mounting or self.link
         if not mounting.locked:
             points = [w.model_copy(update={"position": w.command + self.centre}) for w in points]
             if any(not self.low - _FREE <= w.command <= self.high + _FREE for w in points):
                 text += f"; the measurement covers {_angle(self.low)} … {_angle(self.high)} rad: check for collisions beyond"
+        options.setdefault("channels", self.channels)
         return PlannedExperiment(name, text, mounting, tuple(points), interval=self.interval, **options)
 
     def span(self, amplitude: float) -> str:
@@ -591,10 +558,8 @@ def _motions(bench: _Bench) -> Iterator[PlannedExperiment]:
     points = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
     text = f"Hold still at seven angles within {span(reach)}, each reached from both sides"
     yield bench.experiment("rest_poses", text, points)
-    wide = min(1.4 * reach, 2.4)
-    if wide > 1.2 * reach or reach < SETTINGS.range:
-        text = f"Move the link as far as {span(wide)} and back, 8 s each way"
-        yield bench.experiment("larger_range", text, bench.sweeps(wide, 8.0))
+    text = f"Move the link as far as {span(1.4 * reach)} and back, 8 s each way"
+    yield bench.experiment("larger_range", text, bench.sweeps(1.4 * reach, 8.0))
 
 
 def _loads(bench: _Bench, measurement: Measurement) -> Iterator[PlannedExperiment]:
@@ -613,17 +578,15 @@ def _loads(bench: _Bench, measurement: Measurement) -> Iterator[PlannedExperimen
             where = "in the arm's MJCF, too"
         text = f"Add a known payload, {mass:g} kg at {arm:g} m ({where}), and {bench.motion}"
         yield bench.experiment("second_payload", text, bench.sweeps(), loaded, effort=effort)
-    mountings = bench.joint.mountings
-    unlocked = {name: m for name, m in mountings.items() if not m.locked} or mountings
-    name, lightest = min(unlocked.items(), key=lambda pair: pair[1].gravity_moment)
+    name, lightest = min(bench.joint.mountings.items(), key=lambda pair: (pair[1].locked, pair[1].gravity_moment))
     used = [r.link for r in measurement.recordings if not r.link.locked] or [bench.joint.mount()]
     if lightest.gravity_moment < 0.5 * min(m.gravity_moment for m in used):
         text = f"Take the load off (mounting {name}) and {bench.motion}"
         yield bench.experiment("light_link", text, bench.sweeps(), lightest, effort=effort)
 
 
-def _locked_output(bench: _Bench) -> Iterator[PlannedExperiment]:
-    """Yield the experiment with the output bolted to the bench."""
+def _with_equipment(bench: _Bench) -> Iterator[PlannedExperiment]:
+    """Yield experiments with the output bolted to the bench, and with one more sensor."""
     if "motor_position" in bench.channels:
         torque = SETTINGS.load * bench.rated
         winding, soft = _locked(bench.p, torque)
@@ -634,25 +597,17 @@ def _locked_output(bench: _Bench) -> Iterator[PlannedExperiment]:
             winding, Mounting(inertia=LOCKED, gravity_moment=0.0), effort=SETTINGS.effort[1], locked=True, controller=soft,
             channels=bench.channels | {"link_position"},
         )  # fmt: skip
-
-
-def _sensors(bench: _Bench) -> Iterator[PlannedExperiment]:
-    """Yield experiments with one more sensor."""
-    usual, effort = bench.sweeps(), SETTINGS.effort[2]
-    for column, sensor in (
-        ("motor_position", "the motor's encoder"), ("link_position", "a second encoder, at the link"),
-        ("joint_torque", "a torque sensor at the output"),
-    ):  # fmt: skip
+    for column, text in {
+        "motor_position": "Add the motor's encoder (column motor_position),",
+        "link_position": "Add a second encoder, at the link (column link_position),",
+        "joint_torque": "Add a torque sensor at the output (column joint_torque),",
+        "temperature": f"Record the gear's temperature (column temperature) from cold until {SETTINGS.warming:g} K warmer,",
+    }.items():
         if column not in bench.channels:
-            text = f"Add {sensor} (column {column}), and {bench.motion}"
-            yield bench.experiment(f"with_{column}", text, usual, effort=effort, channels=bench.channels | {column})
-    if "temperature" not in bench.channels:
-        yield bench.experiment(
-            "with_temperature",
-            f"Record the gear's temperature (column temperature) from cold until {SETTINGS.warming:g} K warmer, and "
-            f"{bench.motion}",
-            usual, effort=effort, channels=bench.channels | {"temperature"}, warming=SETTINGS.warming,
-        )  # fmt: skip
+            yield bench.experiment(
+                f"with_{column}", f"{text} and {bench.motion}", bench.sweeps(), effort=SETTINGS.effort[2],
+                channels=bench.channels | {column}, warming=SETTINGS.warming if column == "temperature" else 0.0,
+            )  # fmt: skip
 
 
 def _angle(x: float) -> str:
@@ -673,10 +628,8 @@ def _reversals(centres: Sequence[float], width: float, speed: float) -> list[Way
 
 
 def _locked(p: np.void, torque: float) -> tuple[list[Waypoint], Controller]:
-    """Return waypoints of the rotor over the gear ratio, and a soft drive, for a locked output up to ±`torque` [N·m].
-
-    With a soft drive the current follows the command, not the rotor's angle.
-    """
+    """Return waypoints of the rotor over the gear ratio, and a soft drive, for a locked output up to ±`torque` [N·m]: the current
+    then follows the command, not the rotor's angle."""
     on_rotor = torque / p["N"] + p["Fc"]
     wound = float(laws.flexspline_torsion(torque, p) * p["N"] + laws.wave_generator_torsion(on_rotor, p))
     reach = (1 + _SOFT) * wound / p["N"]

@@ -17,9 +17,8 @@ Every simulated channel has a 95 % band for the channel without its sensor's noi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -209,16 +208,12 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
 
 @dataclass(frozen=True)
 class _Part:
-    """Simulation of one segment at its n steps: values and variances by channel."""
+    """Simulation of one segment at its n steps, by channel."""
 
     segment: Segment
     values: dict[str, np.ndarray]
     variance: dict[str, np.ndarray]
     motion_noise: dict[str, np.ndarray]
-
-    def channel(self, kind: str, name: str) -> np.ndarray:
-        """Return a value of a channel, shape (n,)."""
-        return getattr(self, kind)[name]
 
 
 def _simulated(recording: Recording, joint: Joint) -> Channels:
@@ -237,30 +232,30 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
                 of[name] = having
     measured = {name: recording[name] for name in CHANNELS if of.get(name)}
     since = recording.time - recording.time[0]
-    angle, velocity, load, moving = (
-        _joined(parts, since, get)
-        for get in (
-            lambda part: part.segment.link_position, lambda part: part.segment.state[:, 3], lambda part: part.segment.load,
-            lambda part: _counts(part.segment).astype(float),
-        )
-    )  # fmt: skip
+    every = [part.segment for part in parts]
+    angle = _joined(every, since, [s.link_position for s in every])
+    velocity = _joined(every, since, [s.state[:, 3] for s in every])
+    load = _joined(every, since, [s.load for s in every])
+    # In motion with settled friction.
+    moving = [(s.usable | s.held_out).any(axis=1) & ~s.at_rest for s in every]
     simulated, deviation, noise = {}, {}, {}
     sensor = {name: _sensor_noise(joint, name) for name in measured}
     for name in measured:
-        value, variance, motion = (
-            _joined(of[name], since, partial(_Part.channel, kind=kind, name=name))
-            for kind in ("values", "variance", "motion_noise")
-        )
+        mine = [part.segment for part in of[name]]
+        value = _joined(mine, since, [part.values[name] for part in of[name]])
+        variance = _joined(mine, since, [part.variance[name] for part in of[name]])
+        motion = _joined(mine, since, [part.motion_noise[name] for part in of[name]])
         # The external torque is a part of all known torques on the link.
         simulated[name] = value - recording.torque_of_arm if name == "external_torque" else value
         motion = np.maximum(motion, 0.0)
         if name == "link_position":  # a sample with a wrong time is off by the speed times that
             motion = motion + (np.nan_to_num(velocity) * conditioned.stamps.error) ** 2
-        deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint, sensor[name]))
+        deviation[name] = np.sqrt(variance + motion + _fast(recording, name, mine, joint, sensor[name]))
         noise[name] = np.sqrt(motion + sensor[name] ** 2)
     return Channels(
         name=recording.name, time=recording.stamps, measured=measured, simulated=simulated, deviation=deviation,
-        noise=noise, sensor=sensor, moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
+        noise=noise, sensor=sensor, moving=_joined(every, since, [x.astype(float) for x in moving]) > 0.99,
+        angle=angle, velocity=velocity, load=load,
         units={name: CHANNELS[name].unit for name in measured},
     )  # fmt: skip
 
@@ -288,32 +283,26 @@ def _mostly_offset(error: ChannelError | None, joint: Joint) -> bool:
     return error.noise < abs(error.mean) <= SIGMAS * _zero_std(joint) and error.mean**2 > error.rms**2 / 2
 
 
-def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint, noise: float) -> np.ndarray | float:
+def _fast(recording: Recording, name: str, parts: Sequence[Segment], joint: Joint, noise: float) -> np.ndarray | float:
     """Return the mean square of a channel above the passband and its sensor's noise, shape (n,)."""
     if name not in ("motor_current", "motor_torque", "joint_torque"):
         return 0.0
     since = recording.time - recording.time[0]
     scale = float(joint.record(recording.link)[0]["Kt_drive"]) if name == "motor_torque" else 1.0
-    slow = _joined(parts, since, lambda part: scale * part.segment.measured[:, _BALANCE_OF[name]])
+    slow = _joined(parts, since, [scale * part.measured[:, _BALANCE_OF[name]] for part in parts])
     rest = np.nan_to_num(recording[name] - slow) ** 2
     around = max(round(_AROUND * 1e-3 / recording.interval), 1)
     return np.maximum(uniform_filter1d(rest, around, mode="nearest") - noise**2, 0.0)
 
 
-def _joined(parts: Sequence[_Part], since: np.ndarray, of: Callable[[_Part], np.ndarray]) -> np.ndarray:
+def _joined(segments: Sequence[Segment], since: np.ndarray, values: Sequence[np.ndarray]) -> np.ndarray:
     """Join values at steps or residuals of all segments at a recording's samples, shape (n,); NaN between segments."""
     found = np.full(len(since), np.nan)
-    for part in parts:
-        values, segment = of(part), part.segment
-        time = segment.time if len(values) == len(segment.time) else segment.at
-        here = np.interp(since, time, values, left=np.nan, right=np.nan)
+    for segment, x in zip(segments, values, strict=True):
+        time = segment.time if len(x) == len(segment.time) else segment.at
+        here = np.interp(since, time, x, left=np.nan, right=np.nan)
         found = np.where(np.isfinite(here), here, found)
     return found
-
-
-def _counts(segment: Segment) -> np.ndarray:
-    """Return which residuals are in motion with settled friction, shape (k,), bool."""
-    return (segment.usable | segment.held_out).any(axis=1) & ~segment.at_rest
 
 
 def _sensor_noise(joint: Joint, name: str) -> float:
@@ -446,13 +435,10 @@ def _regions(
     if not len(angle):
         return
     outside = np.zeros(len(angle), bool) if valid is None else valid.outside(*motion)
-    nothing = [np.full(len(r.time), np.nan) for r in recordings]
-    errors = {
-        name: np.concatenate(
-            [(r.measured.get(name, x) - r.simulated.get(name, x))[r.moving] for r, x in zip(recordings, nothing, strict=True)]
-        )
-        for name in CHANNELS if any(name in r.measured for r in recordings)
-    }  # fmt: skip
+    errors = {}
+    for name in (name for name in CHANNELS if any(name in r.measured for r in recordings)):
+        each = [r.measured[name] - r.simulated[name] if name in r.measured else np.nan * r.time for r in recordings]
+        errors[name] = np.concatenate([error[r.moving] for error, r in zip(each, recordings, strict=True)])
     variables = {"angle": ("rad", angle), "speed": ("rad/s", np.abs(velocity)), "load": ("N·m", load)}
     for by, (unit, x) in (variables | {"direction": ("", np.sign(velocity))}).items():
         edges = np.array([-1.0, 0.0, 1.0]) if by == "direction" else np.linspace(x.min(), x.max(), BINS + 1)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from ...models.joint import Joint
 from ...models.signals import DRIVING, POSITIONS
@@ -40,7 +41,6 @@ class ChangeSettings:
     clock: tuple[float, float] = (1.3, 2.7)
     least_factor: float = 2.0  # of a unit, or what it makes of a torque, that a wrong description does not
     folded: float = 40.0  # what a torque that is folded at zero says for a sign that is lost, in log likelihood
-    weight: float = 0.05  # gravity over rated torque, below which a torque without it looks the same
     none: float = 0.2  # gravity in a torque over the described one, of a torque without it
 
 
@@ -159,14 +159,7 @@ Columns = Mapping[str, np.ndarray]
 def undone(
     m: Mistake, time: np.ndarray, columns: Columns, N: float, p: np.void
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return time [s], shape (n,), and channels without a mistake of whole columns.
-
-    Args:
-      m: the mistake.
-      time, columns: as logged.
-      N: gear ratio.
-      p: record of the joint.
-    """
+    """Return time [s], shape (n,), and channels without a mistake of whole columns; N: gear ratio, p: the joint's record."""
     found = dict(columns)
     if m.column == "time":
         if m.name == "sign":
@@ -195,7 +188,9 @@ def undone(
         elif m.name == "late":
             found[column] = np.interp(time + (m.seconds or 0.0), time, x)
         elif m.name == "velocity":
-            found[column] = _integral(time, factor * x)
+            v = factor * x.reshape(len(x), -1)
+            angle = cumulative_trapezoid(v[:, 0], time, initial=0.0)
+            found[column] = np.column_stack([angle, *v[:, :2].T]) if x.ndim > 1 else angle
             guide = next((n for n in (*POSITIONS, "position_command") if n in found and n != column), None)
             if guide is not None:
                 off = side(column, guide, N) * found[guide] - found[column]
@@ -209,12 +204,13 @@ def undone(
     return time, found
 
 
-def expected_sign(channels: Columns, N: float, p: np.void) -> np.ndarray:
-    """Return the sign of the drive's torque according to the joint's record, shape (n,).
+def probability(gain: float) -> float:
+    """Return the probability of a hypothesis over another one, by the gain in score."""
+    return 1 / (1 + math.exp(-min(max(gain, -50.0), 50.0) / 3))
 
-    Args:
-      channels: smoothed, shape (n, 3) each.
-    """
+
+def expected_sign(channels: Columns, N: float, p: np.void) -> np.ndarray:
+    """Return the sign of the drive's torque according to the joint's record, shape (n,); channels: shape (n, 3) each."""
     position = next(n for n in reversed(POSITIONS) if n in channels)
     theta, v, a = (channels[position] * side("", position, N)).T
     inertia = p["Jl"] + N * N * (p["Jm"] + p["Jw"])
@@ -233,13 +229,6 @@ def _plus(x: np.ndarray, offset: float) -> np.ndarray:
 def _in_time(x: np.ndarray, factor: float) -> np.ndarray:
     """Rescale derivatives for a unit of time of `factor` seconds."""
     return x if x.ndim == 1 else x / np.array([1.0, factor, factor**2])
-
-
-def _integral(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Integrate a velocity from zero, by trapezoids; keep derivatives if it has any."""
-    v = velocity if velocity.ndim == 1 else velocity[:, 0]
-    x = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (v[1:] + v[:-1]))])
-    return x if velocity.ndim == 1 else np.column_stack([x, velocity[:, 0], velocity[:, 1]])
 
 
 @dataclass(frozen=True)
@@ -303,13 +292,11 @@ class Table:
 
     def _counts(self, column: str) -> Iterator[Mistake]:
         """Yield counts of the described encoder and, if every value is a whole number, of other encoders."""
-        encoders = {
-            "motor_position": self.joint.sensors.motor_encoder,
-            "link_position": self.joint.sensors.link_encoder,
-        }
-        if column not in encoders:
+        if column not in POSITIONS:
             return
-        lines = 2 * math.pi / encoders[column].resolution
+        sensors = self.joint.sensors
+        encoder = sensors.motor_encoder if column == "motor_position" else sensors.link_encoder
+        lines = 2 * math.pi / encoder.resolution
         another, read_otherwise = SETTINGS.other_counts
         tried = [(lines, 0.0), (4 * lines, read_otherwise), (0.25 * lines, read_otherwise)]
         if column in self.whole:
@@ -327,19 +314,19 @@ class Table:
         if len(positions) == 2:
             yield _entry("swapped", "", "motor and link position are exchanged")
         else:
-            other = POSITIONS[1 - POSITIONS.index(positions[0])].replace("_", " ")
-            yield _entry("swapped", positions[0], f"this is the {other}")
+            missing = "link" if positions[0] == "motor_position" else "motor"
+            yield _entry("swapped", positions[0], f"this is the {missing} position")
         for column in positions:
-            ratio = 1 / N if column == "link_position" else N
-            for said, factor in (
-                ("rad/s", None),
-                ("deg/s", _DEGREE),
-                ("rpm", _RPM),
-                ("rad/s of the other side", ratio),
-            ):
+            other = 1 / N if column == "link_position" else N
+            units: dict[str, float | None] = {
+                "rad/s": None,
+                "deg/s": _DEGREE,
+                "rpm": _RPM,
+                "rad/s of the other side": other,
+            }
+            for said, factor in units.items():
                 price = SETTINGS.price + (0.0 if factor is None else SETTINGS.unusual)
-                text = f"a velocity ({said}), logged as a position"
-                yield _entry("velocity", column, text, price, factor=factor)
+                yield _entry("velocity", column, f"a velocity ({said}), logged as a position", price, factor=factor)
         if self.still_arm:
             text = "time runs backwards: friction would drive the joint"
             yield _entry("sign", "time", text, SETTINGS.price + 2)
@@ -351,17 +338,16 @@ class Table:
         positions = [name for name in POSITIONS if name in there]
         both = [m for _, m in motions if all(name in m for name in POSITIONS)]
         slope = _slope(both, N)
-        if slope is not None and abs(slope - 1) > SETTINGS.slope and 1 / SETTINGS.ratio < slope < SETTINGS.ratio:
-            near = round(slope * N)
-            more = SETTINGS.free
+        if abs(slope - 1) > SETTINGS.slope and 1 / SETTINGS.ratio < slope < SETTINGS.ratio:
+            near, more = round(slope * N), SETTINGS.free
             if near and abs(slope * N / near - 1) < SETTINGS.whole:  # N ± 1: circular spline and flexspline exchanged
-                slope, more = near / N, 0.0 if near in (round(N) - 1, round(N) + 1) else SETTINGS.free
+                slope, more = near / N, 0.0 if abs(near - round(N)) == 1 else SETTINGS.free
             text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:.5g}: is it this joint?"
             yield _entry("gear_ratio", "motor_position", text, SETTINGS.price + more, factor=slope)
             text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
             yield _entry("gear_ratio", "link_position", text, free + 3, factor=slope)
         between = _median(both, "motor_position", "link_position", N)
-        if between is not None and abs(between) > SETTINGS.smallest_offset:
+        if abs(between) > SETTINGS.smallest_offset:
             yield _zero(("link_position",), between, free)
             turns = N * between / (2 * math.pi)
             if round(turns) and abs(turns - round(turns)) < SETTINGS.turns:
@@ -370,40 +356,35 @@ class Table:
                 yield _entry("wrapped", "motor_position", text, free - 4, factor=2 * math.pi, offset=offset)
             yield _zero(("motor_position",), -N * between, free)
         command = _median([m for _, m in motions], "position_command", positions[-1], N)
-        if command is not None and abs(command) > 0.1:
+        if abs(command) > 0.1:
             yield _zero(_link_first(positions), command * side(_link_first(positions)[0], "link_position", N))
             yield _zero(("position_command",), -command, free)
         yield from self._of_loads(there, motions)
 
     def _of_loads(self, there: set[str], motions: list[tuple[Plausibility, SmoothedChannels]]) -> Iterator[Mistake]:
-        """Yield what the best gravity and inertia show: an effort without gravity, another zero of all angles, or a wrong clock.
+        """Yield what the best gravity and inertia show: an effort without gravity, another zero of all angles, or a wrong clock,
+        which scales inertia by the square of its error, and leaves gravity unchanged."""
+        columns = [name for name in DRIVING if name in there]
+        fits = {n: [(p, p.torque(m, n, True).coefficients) for p, m in motions if n in m] for n in columns}
+        every = [fit for found in fits.values() for fit in found]
 
-        A clock scales inertia by the square of its error, and leaves gravity unchanged.
-        """
-        fits = {
-            n: [(p, p.torque(m, n, True).coefficients) for p, m in motions if n in m] for n in DRIVING if n in there
-        }
-        gravity = True
-        for column, found in fits.items():
-            if all(
-                p.p["Mg"] > SETTINGS.weight * p.rated
-                # A torque that is too small as a whole does not lack gravity.
-                and math.hypot(c[1], c[2]) < SETTINGS.none * min(max(c[0], 0.0), 1.0) * p.p["Mg"]
-                for p, c in found
-            ):
-                text = (
-                    f"lacks gravity: {max(p.p['Mg'] for p, _ in found):.3g} N·m · sin(angle) is missing. Does the drive subtract "
-                    "gravity (compensated or external torque), is the joint's axis vertical, or the load far lighter?"
-                )
-                yield _entry("no_gravity", column, text, lost=True)
-                gravity = False
+        def weightless(p: Plausibility, c: np.ndarray) -> bool:
+            # A torque that is too small as a whole does not lack gravity.
+            return p.heavy and math.hypot(c[1], c[2]) < SETTINGS.none * min(max(float(c[0]), 0.0), 1.0) * p.p["Mg"]
+
+        lacking = [name for name, found in fits.items() if all(weightless(p, c) for p, c in found)]
+        for column in lacking:
+            text = (
+                f"lacks gravity: {max(p.p['Mg'] for p, _ in fits[column]):.3g} N·m · sin(angle) is missing. Does the drive "
+                "subtract gravity (compensated or external torque), is the joint's axis vertical, or the load far lighter?"
+            )
+            yield _entry("no_gravity", column, text, lost=True)
         # A zero of the angle cannot explain missing gravity, and only a weight has a direction.
-        if gravity and any(p.p["Mg"] > SETTINGS.weight * p.rated for p in self.plausible):
-            yield from self._turned(there, [one for found in fits.values() for one in found])
-        inertias = [c[0] for found in fits.values() for _, c in found]
-        if not inertias or not self.still_arm:
+        if not lacking and any(p.heavy for p in self.plausible):
+            yield from self._turned(there, every)
+        if not every or not self.still_arm:
             return
-        ratio = float(np.sqrt(max(np.median(inertias), 1e-6)))
+        ratio = float(np.sqrt(max(np.median([c[0] for _, c in every]), 1e-6)))
         if SETTINGS.clock[0] < max(ratio, 1 / ratio) < SETTINGS.clock[1]:
             text = f"a second of the log is {1 / ratio:.3g} s, or inertia {ratio**2:.3g} times the description"
             yield _entry("unit", "time", text, SETTINGS.price + 2 * SETTINGS.free, factor=1 / ratio)
@@ -450,8 +431,8 @@ def _zero(columns: Sequence[str], offset: float, price: float | None = None) -> 
     return _entry("angle_zero", columns[0], "another zero", price, offset=offset, also=tuple(columns[1:]))
 
 
-def _slope(both: Sequence[SmoothedChannels], N: float) -> float | None:
-    """Return the measured gear ratio over N, of all recordings; None if the link hardly moves."""
+def _slope(both: Sequence[SmoothedChannels], N: float) -> float:
+    """Return the measured gear ratio over N, of all recordings; 1 if the link hardly moves."""
     found, weights = [], []
     for motion in both:
         m, l = (motion.channels[name][:, 0] for name in POSITIONS)
@@ -459,35 +440,29 @@ def _slope(both: Sequence[SmoothedChannels], N: float) -> float | None:
             l, m = l - l.mean(), m / N - m.mean() / N
             found.append(float(l @ m / (l @ l)))
             weights.append(float(l @ l))
-    return float(np.average(found, weights=weights)) if found else None
+    return float(np.average(found, weights=weights)) if found else 1.0
 
 
-def _median(motions: Sequence[SmoothedChannels], a: str, b: str, N: float) -> float | None:
-    """Return the median difference of two positions on the output side [rad], of all recordings with both."""
-    found = [
-        m.channels[a][:, 0] / side(a, "link_position", N) - m.channels[b][:, 0] / side(b, "link_position", N)
-        for m in motions
-        if a in m and b in m
-    ]
-    return float(np.median(np.concatenate(found))) if found else None
+def _median(motions: Sequence[SmoothedChannels], a: str, b: str, N: float) -> float:
+    """Return the median difference of two positions on the output side [rad], of all recordings with both; 0 without."""
+    pairs = [[m.channels[name][:, 0] / side(name, "", N) for name in (a, b)] for m in motions if a in m and b in m]
+    return float(np.median(np.concatenate([x - y for x, y in pairs]))) if pairs else 0.0
 
 
 def shrinkage(m: Mistake, new: Mapping[str, RelationFit], old: Mapping[str, RelationFit], effective: float) -> float:
-    """Return the cost of a change that makes torques or angles smaller: small signals fit any description.
-
-    The cost for angles is at most the gain of the relations between angles.
-    """
+    """Return the cost of a change that makes torques or angles smaller, as small signals fit any description; for angles at most
+    the gain of the relations between angles."""
     if m.becomes:
         return -effective * max(math.log(m.factor or 1.0), 0.0)
-    smaller = -math.log(abs(m.factor)) if m.name == "unit" and m.factor and m.column != "time" else 0.0
-    if smaller <= 0.0:
-        # The residual of a larger torque may be larger by the same factor.
-        if m.column not in DRIVING or m.column not in new or m.column not in old:
-            return 0.0
-        return -min(-effective * smaller, max(old[m.column].sharpness - new[m.column].sharpness, 0.0))
-    if m.column in (*DRIVING, "external_torque"):
-        return effective * smaller
-    columns = {m.column, *m.also}
-    last_of = {"encoders": "motor_position", "command": "position_command"}
-    alone = [n for n, last in last_of.items() if n in new and n in old and last in columns and len(columns) > 1]
-    return min(0.5 * effective * smaller, sum(max(new[n].agreement - old[n].agreement, 0.0) for n in alone))
+    cost = -effective * math.log(abs(m.factor)) if m.name == "unit" and m.factor and m.column != "time" else 0.0
+    if cost > 0.0 and m.column in (*DRIVING, "external_torque"):
+        return cost
+    if cost > 0.0:
+        columns = {m.column, *m.also}
+        last_of = {"encoders": "motor_position", "command": "position_command"}
+        alone = [n for n, last in last_of.items() if n in new and n in old and last in columns and len(columns) > 1]
+        return min(0.5 * cost, sum(max(new[n].agreement - old[n].agreement, 0.0) for n in alone))
+    if m.column not in DRIVING or m.column not in new or m.column not in old:
+        return 0.0
+    # The residual of a larger torque may be larger by the same factor.
+    return -min(-cost, max(old[m.column].sharpness - new[m.column].sharpness, 0.0))

@@ -84,7 +84,9 @@ def summarise(recording: Recording, joint: Joint, conditioned: Conditioned | Non
     time = recording.time
     conditioned = conditioned or condition(recording, joint)
     interval = recording.interval
-    inside, there, jitter = _steps(time, interval, recording.gap)
+    steps = np.diff(time)
+    steps = steps[steps <= recording.gap]
+    off = steps[steps < 1.6 * interval] - interval  # without missing samples
     N = joint.numbers["N"].value
     rotor, link = _positions(recording.columns, N)
     speed = np.abs(_velocity(recording, rotor))
@@ -92,8 +94,8 @@ def summarise(recording: Recording, joint: Joint, conditioned: Conditioned | Non
     del speed  # of an hour, 30 MB
     load = np.percentile(_load(recording, joint), (0.5, 99.5))
     # What happens within a gap is unknown.
-    turns = [_turning_points(rotor[part]) for part in recording.segments]
-    travel = [np.diff(rotor[part]) for part in recording.segments]
+    parts = [rotor[part] for part in recording.segments]
+    travel = [np.diff(part) for part in parts]
     current = recording.columns.get("motor_current")
     limit = joint.numbers["current_limit"].value
     return RecordingSummary(
@@ -101,31 +103,23 @@ def summarise(recording: Recording, joint: Joint, conditioned: Conditioned | Non
         samples=len(time),
         duration=float(time[-1] - time[0]),
         interval=interval,
-        jitter=jitter,
+        jitter=float(np.sqrt(np.mean(off**2))) if len(off) else 0.0,
         late=max(conditioned.stamps.found, conditioned.stamps.error),
         passband=conditioned.passband,
         done=conditioned.done,
-        missing=max(round(inside / interval) - there, 0),
+        missing=max(round(float(steps.sum()) / interval) - len(steps), 0),
         gaps=recording.gaps,
         ranges={name: (float(x.min()), float(x.max())) for name, x in recording.columns.items()},
         motor_speed=motor_speed,
         link_speed=float(np.abs(_velocity(recording, link)).max()),
         sliding=sliding,
-        reversals=sum(max(len(points) - 2, 0) for points in turns),
+        reversals=sum(map(_reversals, parts)),
         forward=float(sum(x[x > 0].sum() for x in travel)),
         backward=float(sum(-x[x < 0].sum() for x in travel)),
         load=(float(load[0]), float(load[1])),
         load_measured="joint_torque" in recording,
         clipped=None if current is None else float(np.mean(np.abs(current) >= _CLIPPED * limit)),
     )
-
-
-def _steps(time: np.ndarray, interval: float, gap: float) -> tuple[float, int, float]:
-    """Return sum [s] and number of the intervals without gaps, and the rms jitter [s] of those without missing samples."""
-    steps = np.diff(time)
-    steps = steps[steps <= gap]
-    off = steps[steps < 1.6 * interval] - interval
-    return float(steps.sum()), len(steps), float(np.sqrt(np.mean(off**2))) if len(off) else 0.0
 
 
 def missing_columns(measurement: Measurement) -> list[str]:
@@ -147,14 +141,12 @@ def balances(measurement: Measurement) -> tuple[Balance, ...]:
 
 def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
     """Yield name and description of a recording's balances; none of the link with unknown loads, as in `segments`."""
-    drive = next((name for name in _DRIVE if name in recording), None)
-    said = None if drive is None else drive.replace("_", " ")
     sensor = "joint_torque" in recording
     alone = recording.external != "unmeasured" and recording.load is None
     both = all(name in recording for name in POSITIONS)
-    if said is not None:
+    for drive in [name for name in _DRIVE if name in recording][:1]:
         others = "what the torsion transmits" if both else "link together"
-        yield "motor_current", f"{said} against rotor, friction and {others}"
+        yield "motor_current", f"{drive.replace('_', ' ')} against rotor, friction and {others}"
     if both and sensor:
         yield "joint_torque", "joint torque against the torsion between both encoders"
     if both and alone:
@@ -240,11 +232,7 @@ def noisy_sensors(recording: Recording, joint: Joint) -> Iterator[str]:
 def undetermined(
     measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary] | None = None
 ) -> dict[str, str]:
-    """Return the causes that a measurement cannot show at ordinary size, each with a reason.
-
-    Args:
-      summaries: of the recordings, if available.
-    """
+    """Return the causes that a measurement cannot show at ordinary size, each with a reason."""
     summaries = summaries or [summarise(r, joint) for r in measurement.recordings]
     columns = {name for r in measurement.recordings for name in r.columns}
     both = any(all(name in r for name in POSITIONS) for r in measurement.recordings)
@@ -272,13 +260,7 @@ def undetermined(
 
 
 def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
-    """Return whether a cause can show in the channels of a measurement, for any motion.
-
-    Args:
-      name: of the cause.
-      measurement: whose recordings have the channels.
-      link_measured: whether some recording has both encoders.
-    """
+    """Return whether a cause can show in the channels of a measurement, for any motion; `link_measured`: with both encoders."""
     columns = {column for r in measurement.recordings for column in r.columns}
     cause = causes.get(name)
     arm = any(r.load is not None for r in measurement.recordings)
@@ -367,10 +349,8 @@ _SEEN = 0.5 / (STEP * DECIMATION)
 
 
 def shaken(joint: Joint) -> float:
-    """Return the rotor acceleration's noise, as a current, over the current's noise; 0 if none is described.
-
-    The second derivative of an angle's white noise up to a frequency F is (2πF)²/√5 times as large.
-    """
+    """Return the rotor acceleration's noise, as a current, over the current's noise; 0 if none is described. The second
+    derivative of an angle's white noise up to a frequency F is (2πF)²/√5 times as large."""
     sensors = joint.sensors
     if not sensors.motor_current.noise:
         return 0.0
@@ -391,10 +371,8 @@ _TRIED = (
 
 
 def in_drive_alone(cause: Cause, joint: Joint, both_encoders: bool = True) -> bool:
-    """Return whether a cause affects the motor current alone: motor causes, and friction with one encoder.
-
-    With both encoders, friction changes the wind-up of the wave generator.
-    """
+    """Return whether a cause affects the motor current alone: motor causes, and friction with one encoder. With both, friction
+    changes the wind-up of the wave generator."""
     rng = np.random.default_rng(0)
     before = joint.record()
     p = before[0]
@@ -416,12 +394,8 @@ def in_drive_alone(cause: Cause, joint: Joint, both_encoders: bool = True) -> bo
 
 
 def _effects(state: State, p: np.void) -> tuple[list[float], float, float]:
-    """Return what a record's joint does in a state.
-
-    Returns:
-      Torsion torque, link torque, and readings of encoders and torque sensor; the rotor's angle [rad] in a steady motion of the
-      link, with wind-up under load and friction; the drive's transmitted torque, from the measured current.
-    """
+    """Return torsion torque, link torque, and readings of encoders and torque sensor in a state; the rotor's angle [rad] in a
+    steady motion of the link, with wind-up under load and friction; the drive's transmitted torque, from the measured current."""
     t = dynamics.transmission(state, p)
     others = [
         t.flexspline_torque, dynamics.link_torque(state, t.load, p), dynamics.read_motor_position(state, p),
@@ -467,17 +441,12 @@ def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:
     return v
 
 
-def _turning_points(position: np.ndarray) -> list[float]:
-    """Return turning points of a motion, with both ends; moves shorter than `_REVERSAL` do not count."""
-    points = [float(position[0])]
-    extreme, direction = float(position[0]), 0
+def _reversals(position: np.ndarray) -> int:
+    """Return how often a motion reverses; moves shorter than `_REVERSAL` do not count."""
+    count, extreme, direction = -1, float(position[0]), 0
     for x in (x for begin in range(0, len(position), _BLOCK) for x in position[begin : begin + _BLOCK].tolist()):
-        if direction == 0:
-            if abs(x - points[0]) > _REVERSAL:
-                direction, extreme = (1 if x > points[0] else -1), x
-        elif (x - extreme) * direction > 0:
+        if (x - extreme) * direction > 0:
             extreme = x
-        elif (extreme - x) * direction > _REVERSAL:
-            points.append(extreme)
-            direction, extreme = -direction, x
-    return [*points, extreme] if direction else points
+        elif abs(x - extreme) > _REVERSAL:
+            count, extreme, direction = count + 1, x, 1 if x > extreme else -1
+    return max(count, 0)

@@ -19,6 +19,7 @@ from ...models.errors import InputError
 from ...models.files import write_into_place
 from ...models.recording import Recording
 from ...models.signals import WRENCH
+from .log import needing
 from .messages import DEFINITIONS
 
 _LAST = 2.0**31  # s, of a stamp
@@ -28,19 +29,11 @@ _JOINTS = {"motor_position": "motor", "link_position": "link"}
 def write_mcap(recording: Recording, path: Path) -> None:
     """Write a recording as an MCAP file.
 
-    Args:
-      recording: with channels in SI.
-      path: of the file.
-
     Raises:
       InputError: the packages are not installed, times before 1970 or past 2038, or the file cannot be written.
     """
-    try:
+    with needing("packages mcap and mcap-ros2-support", "writing MCAP", "mcap"):
         from mcap_ros2.writer import Writer
-    except ImportError as error:
-        raise InputError(
-            "writing MCAP: expected the packages mcap and mcap-ros2-support; install flexspline[mcap]"
-        ) from error
     if recording.time[0] < 0 or recording.time[-1] >= _LAST:
         raise InputError(
             f"{recording.source or recording.name}: time: expected 0 s to {_LAST:g} s, which messages can say, got "
@@ -76,14 +69,7 @@ def write_mcap(recording: Recording, path: Path) -> None:
                 )  # fmt: skip
             for name, values in columns.items():
                 write(f"/{name}", "std_msgs/msg/Float64", at, data=float(values[k]))
-        writer.add_metadata("flexspline", _told(recording))
-
-
-def _told(recording: Recording) -> dict[str, str]:
-    arm = recording.arm
-    load = {"link": recording.link.model_dump_json()} if arm is None else {"arm": json.dumps(arm.spec.model_dump())}
-    return {
-        "joint": recording.joint,
-        "description": recording.description,
-        "external_torque": recording.external,
-    } | load
+        known = {"joint": recording.joint, "description": recording.description, "external_torque": recording.external}
+        spec = None if recording.arm is None else recording.arm.spec.model_dump()
+        load = {"link": recording.link.model_dump_json()} if spec is None else {"arm": json.dumps(spec)}
+        writer.add_metadata("flexspline", known | load)

@@ -67,13 +67,9 @@ class Zero(Strict):
     beyond: Annotated[float, Field(ge=0)] = 0.0
     """Only where the difference is larger, SI."""
 
-    def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
-        """Return the compared column, SI, shape (n,)."""
-        return self.scale * _factor(self.unit, self.counts) * table[self.column]
-
     def away(self, values: np.ndarray, table: dict[str, np.ndarray]) -> float:
         """Return the difference of a channel, shape (n,), from the compared column, SI."""
-        off = values - self.read(table)
+        off = values - self.scale * _factor(self.unit, self.counts) * table[self.column]
         return float(off[0] if self.at == "first" else np.mean(off))
 
 
@@ -173,25 +169,23 @@ class ChannelSource(_Reading):
         """Names of the foreign columns."""
         return [part.column for part in self.parts] + ([self.zero.column] if isinstance(self.zero, Zero) else [])
 
-    def read(self, table: dict[str, np.ndarray], time: np.ndarray | None = None) -> np.ndarray:
+    def read(self, table: dict[str, np.ndarray], time: np.ndarray) -> np.ndarray:
         """Values in SI, shape (n,); of an integral at the times [s] of the samples, of a time that was not logged at the rows of
         these numbers, shape (n,) each."""
         if self.rate is not None:
-            assert time is not None
             return time / self.rate + self.offset
         values = np.sum([part.read(table) for part in self.parts], axis=0)
         if self.integrate:
             from scipy.integrate import cumulative_trapezoid
 
-            assert time is not None
             values = cumulative_trapezoid(values, time, initial=0.0)
-        if self.zero is None:
-            return values + self.offset
         if self.zero == "first":
             return values - values[0] + self.offset
+        known = values + self.offset
+        if self.zero is None:
+            return known
         if self.zero.beyond == 0:
             return values - self.zero.away(values, table) + self.offset
-        known = values + self.offset
         away = self.zero.away(known, table)
         return known - away if abs(away) > self.zero.beyond else known
 
@@ -294,32 +288,21 @@ class Layout(Strict):
                 raise ValueError(f"{where}external_torque: expected {expected}")
         for name, channel in self.columns.items():
             unit = CHANNELS[name].unit if name in CHANNELS else "rad"
-            rate = f"{unit}/s" if channel.integrate else unit
-            key = "" if channel.sum is None else "sum.{}."
+            rate, zero = f"{unit}/s" if channel.integrate else unit, channel.zero
+            places = [f"sum.{i}.unit" if channel.sum else "unit" for i in range(len(channel.parts))]
             wrong = [
-                (f"{key}unit".format(i), rate, part.unit)
-                for i, part in enumerate(channel.parts)
-                if not part.makes(rate)
+                (at, rate, part.unit) for at, part in zip(places, channel.parts, strict=True) if not part.makes(rate)
             ]
-            zero = channel.zero
             if isinstance(zero, Zero) and zero.scale == 1.0 and UNITS[zero.unit][0] != unit:
                 wrong.insert(0, ("zero.unit", unit, zero.unit))
-            if wrong:
-                place, expected, got = wrong[0]
+            for place, expected, got in wrong[:1]:
                 text = f"expected one of {expected!r}, or a scale that makes it so, got {got!r}"
                 raise ValueError(f"columns.{name}.{place}: {text}")
         return self
 
     def of(self, log: Path, joint: str | None = None) -> Layout:
-        """Return the mapping for one log, with its load as `link` or `arm`.
-
-        Args:
-          log: its path.
-          joint: name or path of the joint with the mountings; by default the mapping's.
-
-        Raises:
-          InputError: several patterns fit its name; a joint that there is not, or that has no such mounting.
-        """
+        """Return the mapping for one log, with its load as `link` or `arm`. `joint`: the joint with the mountings, by default the
+        mapping's. Raises `InputError`: several patterns fit the log's name, or no such joint or mounting."""
         fitting = [pattern for pattern in self.logs if fnmatchcase(log.name, pattern)]
         if len(fitting) > 1:
             raise InputError(
@@ -332,11 +315,9 @@ class Layout(Strict):
             link = described.mount(mounting)
         if other.payload is not None and link is not None:
             link = other.payload.on(link)
-        external = other.external_torque or self.external_torque
-        payloads = self.payloads if other.payloads is None else other.payloads
-        arm = other.arm or self.arm
-        update = {"link": link, "mounting": None, "arm": arm, "payloads": payloads, "external_torque": external}
-        return self.model_copy(update=update)
+        kept = {name: getattr(self, name) for name in ("arm", "payloads", "external_torque")}
+        kept |= {name: given for name in kept if (given := getattr(other, name)) is not None}
+        return self.model_copy(update={"link": link, "mounting": None, **kept})
 
 
 def unfitting(layout: Layout, logs: Sequence[str | Path]) -> list[str]:
@@ -424,13 +405,13 @@ def import_recordings(
     rows = len(next(iter(table.values())))
     if not rows:
         raise InputError(f"{path}: expected rows, got a header alone")
-    for target, channel in channels.items():
-        for part in channel.parts:
-            if table[part.column].dtype.kind in "mM" and part.unit != "s":
-                raise InputError(
-                    f"{path}: column {part.column!r}: expected unit 's' of dates and clock times, got {part.unit!r} ({target})"
-                )
-    table = {column: seconds(values) if values.dtype.kind in "mM" else values for column, values in table.items()}
+    dated = {column for column, values in table.items() if values.dtype.kind in "mM"}
+    for target, part in ((target, part) for target, channel in channels.items() for part in channel.parts):
+        if part.column in dated and part.unit != "s":
+            raise InputError(
+                f"{path}: column {part.column!r}: expected unit 's' of dates and clock times, got {part.unit!r} ({target})"
+            )
+    table |= {column: seconds(table[column]) for column in dated}
     kept = np.all([np.isfinite(values) for values in table.values()], axis=0)
     if not np.all(kept):
         faults = [
@@ -478,11 +459,7 @@ def _damaged(layout: Layout, path: Path, faults: list[str], count: int, rows: in
 
 def _found(layout: Layout, log: Log) -> tuple[dict[str, ChannelSource], dict[str, str]]:
     """The mapping's channels that a log has, and the log's names of their columns; those of time first, whose topic the samples
-    are.
-
-    Raises:
-      InputError: a column that is not there, or several times.
-    """
+    are. Raises `InputError`: a column that is not there, or several times."""
     path = log.path
     channels = {
         target: channel
@@ -497,7 +474,7 @@ def _found(layout: Layout, log: Log) -> tuple[dict[str, ChannelSource], dict[str
         if theirs is None:
             raise InputError(
                 f"{path}: column {column!r}: missing, {target} is made of it (format {layout.name!r})"
-                f"{log.missing(column) or nearest(column, log.names)}"
+                f"{f'; {log.why}' if log.why else nearest(column, log.names)}"
             )
         if log.names.count(theirs) > 1:
             raise InputError(f"{path}: column {column!r}: expected once, found {log.names.count(theirs)} times")

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+
+from ...models.errors import InputError, first_line
 
 LABELS = ("name", "names", "joint_names", "interface_names", "actuator_names")
 """Lists of names of other lists' elements, as `sensor_msgs/JointState` has."""
@@ -19,6 +22,8 @@ class Log:
     names: list[str]
     note = ""
     """What was left out, or read otherwise than it says."""
+    why = ""
+    """Why a column may not be found."""
     units: Mapping[str, str] = {}
     """Of columns, in small letters, where the log has a row of them."""
 
@@ -32,10 +37,6 @@ class Log:
             if len(found) == 1:
                 return found[0]
         return None
-
-    def missing(self, column: str) -> str:
-        """Why a column is not found, where there is more to say than that."""
-        return ""
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
         """Columns as numbers, dates or clock times, shape (n,) each, of the same length; NaN or NaT for a cell that is none."""
@@ -52,3 +53,23 @@ class Log:
 
 def _plain(name: str) -> str:
     return re.sub(r"[./\[\]()]+", "/", name).strip("/ #%")
+
+
+@contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """Say in one line that a file is damaged, for any error of its library."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error
+
+
+@contextmanager
+def needing(packages: str, what: str, extra: str = "logs") -> Iterator[None]:
+    """Say in one line which packages are not installed."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(f"{what}: expected the {packages}; install flexspline[{extra}]") from error

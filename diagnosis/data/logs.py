@@ -12,9 +12,11 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ import numpy as np
 from ...models.errors import InputError, first_line
 from ...models.tables import reading_parquet
 from ...models.text_tables import TextForm, TextTable, elements, find_head, numbers
-from .log import LABELS, Log
+from .log import LABELS, Log, needing, reading
 from .messages import open_messages
 
 READ = "CSV and other text, Parquet, JSON, NumPy, MATLAB, HDF5, Excel (.xlsx), Arrow, MCAP, ROS 1 and ROS 2 bags"
@@ -42,9 +44,7 @@ class LogForm:
 # Arrays -----------------------------------------------------------------------------------------------------------------------
 
 
-def _leaves(
-    value: Any, name: str = "", labels: Mapping[int, list[str]] | None = None
-) -> Iterator[tuple[str, np.ndarray]]:
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
     """Arrays in nested ones, with their names; what is neither is left out."""
     if isinstance(value, Mapping):
         if value and all(str(key).isdecimal() for key in value):  # a column by the numbers of its rows
@@ -66,18 +66,15 @@ def _leaves(
         some = [one for one in flat if one is not None]
         if some and all(isinstance(one, Mapping) for one in some):
             keys = dict.fromkeys(key for one in some for key in one)
-            yield from _leaves({key: [one.get(key) if one is not None else None for one in flat] for key in keys}, name)
+            yield from _leaves({key: [(one or {}).get(key) for one in flat] for key in keys}, name)
             return
-        if some and all(
-            isinstance(one, (list, tuple, np.ndarray)) or (isinstance(one, str) and elements(one)) for one in some
-        ):
+        if some and all(isinstance(one, (list, tuple, np.ndarray)) or elements(one) for one in some):
             found = [elements(one) if not _is_text(one) else list(one) for one in flat]
-            width = max(map(len, found))
+            width, text = max(map(len, found)), any(map(_is_text, some))
             if 0 < width <= _WIDEST and value.ndim == 1:
-                if any(_is_text(one) for one in some):
-                    yield name, np.array([(*one, *[""] * (width - len(one))) for one in found], dtype=str)
-                else:
-                    yield name, np.array([[*one, *[np.nan] * (width - len(one))] for one in found])
+                fill = "" if text else np.nan
+                rows = [[*one, *[fill] * (width - len(one))] for one in found]
+                yield name, np.array(rows, dtype=str if text else None)
             return
     yield name, value
 
@@ -127,10 +124,9 @@ class Arrays(Log):
             width = math.prod(leaf.shape[1:])
             if width > _WIDEST:
                 continue
-            narrow = width > 1
-            for at in np.ndindex(leaf.shape[1:]) if narrow else [()]:
-                key = "/".join([*([name] if name else []), *map(str, at)])
-                self._columns[key] = leaf[(slice(None), *at)] if narrow else leaf.ravel()
+            for at in np.ndindex(leaf.shape[1:]):
+                key = "/".join(filter(None, [name, *(map(str, at) if width > 1 else ())]))
+                self._columns[key] = leaf[(slice(None), *at)]
         self.names = list(self._columns)
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
@@ -169,10 +165,6 @@ def _bytes(source: Source) -> bytes:
     return source.read_bytes() if isinstance(source, Path) else source.getvalue()
 
 
-def _needs(package: str, what: str) -> InputError:
-    return InputError(f"reading {what}: expected the package {package}; install flexspline[logs]")
-
-
 def _numpy(source: Source, wanted: set[str], form: TextForm) -> Any:
     found = np.load(source)
     if isinstance(found, np.ndarray):
@@ -207,10 +199,8 @@ def _matlab(source: Source, wanted: set[str], form: TextForm) -> Any:
 
 
 def _hdf5(source: Source, wanted: set[str], form: TextForm) -> Any:
-    try:
+    with needing("package h5py", "reading HDF5 and MATLAB 7.3 files"):
         import h5py
-    except ImportError as error:
-        raise _needs("h5py", "HDF5 and MATLAB 7.3 files") from error
 
     def plain(group: Any) -> dict[str, Any]:
         tree: dict[str, Any] = {}
@@ -232,10 +222,8 @@ def _hdf5(source: Source, wanted: set[str], form: TextForm) -> Any:
 
 
 def _excel(source: Source, wanted: set[str], form: TextForm) -> Any:
-    try:
+    with needing("package openpyxl", "reading Excel files"):
         from openpyxl import load_workbook
-    except ImportError as error:
-        raise _needs("openpyxl", "Excel files") from error
     book = load_workbook(source, read_only=True, data_only=True)
     sheets: dict[str, dict[str, list]] = {}
     for sheet in book.worksheets:
@@ -261,16 +249,15 @@ def _json(source: Source, wanted: set[str], form: TextForm) -> Any:
         return _split_table(json.loads(text))
     except (ValueError, RecursionError) as error:
         lines = [line for line in text.splitlines() if line.strip()]
-        entries = []
+        entries, note = [], ""
         for i, line in enumerate(lines):
             try:
                 entries.append(json.loads(line))
             except (ValueError, RecursionError):
                 if i < len(lines) - 1 or i < 2:
                     raise ValueError(first_line(error)) from None
-        if len(entries) < len(lines):
-            return entries, "the last line is left out: it is incomplete"
-        return entries
+                note = "the last line is left out: it is incomplete"
+        return entries, note
 
 
 def _split_table(data: Any) -> Any:
@@ -286,7 +273,10 @@ def _split_table(data: Any) -> Any:
 def _arrow(source: Source, wanted: set[str], form: TextForm) -> Any:
     import pyarrow.feather as feather
 
-    table = feather.read_table(source)
+    return _arrow_columns(feather.read_table(source))
+
+
+def _arrow_columns(table: Any) -> dict[str, Any]:
     return {name: _arrow_column(table.column(name)) for name in table.column_names}
 
 
@@ -303,10 +293,10 @@ def _arrow_column(column: Any) -> Any:
     if pa.types.is_duration(kind) or pa.types.is_time(kind):
         ticks = column.cast(pa.time64("ns") if pa.types.is_time(kind) else pa.duration("ns"))
         return ticks.cast(pa.int64()).to_numpy().astype("timedelta64[ns]")
-    numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean)
-    if any(of_kind(kind) for of_kind in numeric):
-        whole = pa.types.is_integer(kind) and not column.null_count
-        return column.to_numpy() if whole else column.cast(pa.float64(), safe=False).to_numpy()
+    if pa.types.is_integer(kind) and not column.null_count:
+        return column.to_numpy()
+    if pa.types.is_primitive(kind) or pa.types.is_decimal(kind):  # numbers, also with empty cells, and booleans
+        return column.cast(pa.float64(), safe=False).to_numpy()
     if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
         flat = column.combine_chunks().flatten() if len(column) else []
         width = len(flat) // max(len(column), 1)
@@ -320,30 +310,22 @@ class _Parquet(Log):
     """A Parquet file: the names are those of its first rows, and what is read are the columns that are wanted."""
 
     def __init__(self, path: Path, source: Source):
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
         self.path = path
+        self._table: Arrays | None = None
         with reading_parquet(path):
             self._file = pq.ParquetFile(source)
-            first = next(self._file.iter_batches(1000), None)
-            if first is None:
-                first = self._file.schema_arrow.empty_table()
-            self._all = list(self._file.schema_arrow.names)
-            tree = self._tree(first)
-        empty = {name: np.zeros(1) for name in tree} if not self._file.metadata.num_rows else tree
-        self.names = Arrays(path, empty).names
-        self._table: Arrays | None = None
-
-    def _tree(self, rows: Any) -> dict[str, Any]:
-        import pyarrow as pa
-
-        table = pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
-        return {name: _arrow_column(table.column(name)) for name in table.column_names}
+            first = pa.Table.from_batches(islice(self._file.iter_batches(1000), 1), self._file.schema_arrow)
+        tree = _arrow_columns(first) if len(first) else dict.fromkeys(first.column_names, np.zeros(1))
+        self.names = Arrays(path, tree).names
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        roots = [max((one for one in self._all if f"{name}/".startswith(f"{one}/")), key=len) for name in wanted]
+        roots = self._file.schema_arrow.names
+        mine = [max((one for one in roots if f"{name}/".startswith(f"{one}/")), key=len) for name in wanted]
         with reading_parquet(self.path):
-            tree = self._tree(self._file.read(list(dict.fromkeys(roots)), use_pandas_metadata=False))
+            tree = _arrow_columns(self._file.read(list(dict.fromkeys(mine)), use_pandas_metadata=False))
         if not self._file.metadata.num_rows:
             return {name: np.empty(0) for name in wanted}
         self._table = Arrays(self.path, tree)
@@ -360,7 +342,7 @@ class _Text(Log):
         self.path = path
         self._table = TextTable(path, _bytes(source), wanted, form.text)
         self.names = self._table.names
-        self.units = self._table.head.units
+        self.units, self.why = self._table.head.units, self._table.head.why
         torn = self._table.torn
         self.note = f"the last line is left out: it is incomplete ({torn[:40]!r})" if torn else ""
         self._turns = next((k for pattern, k in form.interleaved.items() if fnmatchcase(path.name, pattern)), 0)
@@ -368,9 +350,6 @@ class _Text(Log):
             if len(self.names) != 1:
                 raise InputError(f"{path}: interleaved: expected one number a line, got {len(self.names)} columns")
             self.names = [str(k) for k in range(self._turns)]
-
-    def missing(self, column: str) -> str:
-        return f"; {self._table.head.why}" if self._table.head.why else ""
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
         if not self._turns:
@@ -472,18 +451,16 @@ _REFUSED = {
 def _kind_of(path: Path, start: bytes, source: Source) -> str:
     """What a file is, by its first bytes, or else by its name."""
     if start.startswith(b"PK\x03\x04"):
-        try:
-            with zipfile.ZipFile(source) as archive:
-                inside = archive.namelist()
-        except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
-            inside = []
+        inside: list[str] = []
+        with suppress(OSError, ValueError, NotImplementedError, zipfile.BadZipFile), zipfile.ZipFile(source) as archive:
+            inside = archive.namelist()
         if "xl/workbook.xml" in inside:
             return "excel"
         return "numpy" if (inside and all(name.endswith(".npy") for name in inside)) or path.suffix == ".npz" else "zip"
-    found = next((kind for magic, kind in _MAGIC if start.startswith(magic)), None)
-    if found is not None:
-        return found
     suffix = _SUFFIXES.get(path.suffix.lower(), "")
+    for magic, kind in _MAGIC:
+        if start.startswith(magic):
+            return kind
     if re.match(rb"(?:\xef\xbb\xbf)?\s*<[?!\w]", start):
         return "markup"
     if not suffix and re.match(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*[\[{])", start):
@@ -535,14 +512,12 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     source, note = _unpacked(path, start)
-    if isinstance(source, Path):
-        kind = _kind_of(path, start, source)
-    else:
-        kind = _kind_of(path.with_suffix(""), source.getvalue()[:600], source)
+    packed = not isinstance(source, Path)
+    kind = _kind_of(path.with_suffix(""), _bytes(source)[:600], source) if packed else _kind_of(path, start, source)
     if kind in _REFUSED:
         raise InputError(f"{path}: not a format that is read: {_REFUSED[kind]}")
     if kind in ("bag", "mcap", "db3"):
-        if not isinstance(source, Path):
+        if packed:
             raise InputError(f"{path}: expected a bag or MCAP file that is not compressed as a whole; unpack it first")
         return open_messages(path, wanted)
     log: Log
@@ -550,13 +525,9 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
         log = _Parquet(path, source)
     elif kind in _READERS:
         reader, what = _READERS[kind]
-        try:
+        with reading(path, what):
             tree = reader(source, wanted or set(), form.text)
             log = Arrays(path, *(tree if isinstance(tree, tuple) else (tree,)))
-        except InputError:
-            raise
-        except Exception as error:  # of a library, for damaged files
-            raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error
         if not log.names:
             raise InputError(f"{path}: expected arrays or columns of numbers in the {what}, found none")
     else:

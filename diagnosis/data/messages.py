@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Set
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from ...models.errors import InputError, first_line
+from ...models.errors import InputError
 from ...models.files import shown
 from ...models.recording import GAP
-from .log import LABELS, Log
+from .log import LABELS, Log, needing, reading
 
 STAMP = "stamp"
 _FARTHEST = 2**62  # ns, so that differences of times fit into 64 bits
@@ -118,17 +118,14 @@ class Messages(Log):
             inside &= (times >= theirs[0]) & (times <= theirs[-1]) & near
         if not np.any(inside):
             raise InputError(f"{self.path}: expected messages of {', '.join(by_topic)} at the same time, got none")
-        at = times[inside]
-        first = at[0]
-        columns = {}
+        at, columns = times[inside], {}
         for column, (topic, name) in split.items():
-            table = tables[topic]
             if name == STAMP:
-                columns[column] = 1e-9 * (at - first)
+                columns[column] = 1e-9 * (at - at[0])
             elif topic == main:
-                columns[column] = table[name][inside]
+                columns[column] = tables[topic][name][inside]
             else:
-                columns[column] = np.interp(at - first, table[STAMP] - first, table[name])
+                columns[column] = np.interp(at - at[0], tables[topic][STAMP] - at[0], tables[topic][name])
         return columns
 
     def _split(self, column: str) -> tuple[str, str]:
@@ -141,16 +138,13 @@ class Messages(Log):
         one = self._topics[topic]
         columns = {name: np.array(one.values[name]) for name in names if name != STAMP}
         stamps = np.array(one.times, dtype=np.int64)
-        whole = np.all([np.ones(len(stamps), bool), *(np.isfinite(values) for values in columns.values())], axis=0)
+        whole = np.all([np.ones(len(stamps), bool), *map(np.isfinite, columns.values())], axis=0)
         times, rows = np.unique(stamps[whole], return_index=True)
         count = int(np.count_nonzero(whole))
         if count < 2:
             raise InputError(f"{self.path}: topic {topic}: expected messages with {', '.join(names)}, got {count}")
-        return (
-            {STAMP: times, **{name: values[whole][rows] for name, values in columns.items()}},
-            count - len(times),
-            count,
-        )
+        table = {STAMP: times} | {name: values[whole][rows] for name, values in columns.items()}
+        return table, count - len(times), count
 
     def row(self, index: int) -> str:
         """A sample for people."""
@@ -158,23 +152,16 @@ class Messages(Log):
 
 
 def open_messages(path: Path, wanted: Set[str] | None = None) -> Messages:
-    """Read what a mapping asks for of an MCAP file or a bag.
-
-    Args:
-      path: of the file, or of a ROS 2 bag's folder.
-      wanted: columns that will be asked for; all where it is None.
-
-    Raises:
-      InputError: a file that cannot be read, messages in an unknown encoding, packages that are not installed; one line.
-    """
+    """Read the `wanted` columns (None: all) of an MCAP file or a bag; `path`: of the file, or of a ROS 2 bag's folder. Raises
+    `InputError`: a file that cannot be read, messages in an unknown encoding, packages that are not installed."""
     topics: dict[str, _Topic] = {}
     others: dict[str, None] = {}
 
     def is_wanted(topic: str) -> bool:
-        found = wanted is None or any(column.startswith(f"{topic}/") for column in wanted)
-        if not found:
-            others[topic] = None
-        return found
+        if wanted is None or any(column.startswith(f"{topic}/") for column in wanted):
+            return True
+        others[topic] = None
+        return False
 
     reader = _mcap if path.suffix == ".mcap" else _bag
     for topic, logged, message in reader(path, is_wanted):
@@ -196,10 +183,8 @@ def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: Set[str] | 
     if len(one.times) <= _LISTED:
         one.names.update(dict.fromkeys(_numbers(message)))
     columns = [f"{topic}/{name}" for name in one.names] if wanted is None else wanted
-    for column in columns:
-        name = column.removeprefix(f"{topic}/")
-        if name == column or name == STAMP:
-            continue
+    mine = [column.removeprefix(f"{topic}/") for column in columns if column.startswith(f"{topic}/")]
+    for name in (name for name in mine if name != STAMP):
         values = one.values.setdefault(name, [np.nan] * (len(one.times) - 1))
         values.append(_number(message, name.split("/")))
         if np.isfinite(values[-1]):  # another publisher may have been first
@@ -209,23 +194,18 @@ def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: Set[str] | 
 def _time(message: Any, logged: Any) -> int:
     """When a message was stamped, or else logged [ns]; `ValueError` where that is no such number."""
     stamp = _inside(_inside(message, "header"), "stamp") or _inside(message, "timestamp")
-    parts = [
-        _inside(stamp, "sec"),
-        next((x for n in ("nanosec", "nsec") if (x := _inside(stamp, n)) is not None), None),
-    ]
-    stamped = 0 if None in parts else _nanoseconds(parts)
+    seconds, *rest = (_inside(stamp, name) for name in ("sec", "nanosec", "nsec"))
+    rest = [x for x in rest if x is not None]
+    stamped = 0 if seconds is None or not rest else _nanoseconds([seconds, rest[0]])
     return stamped or _nanoseconds([0, logged])  # a stamp of zero is unset
 
 
 def _nanoseconds(parts: list[Any]) -> int:
-    try:
+    with suppress(TypeError, ValueError, OverflowError):
         whole = [int(x) for x in parts]
-        at = whole[0] * 10**9 + whole[1]
-    except (TypeError, ValueError, OverflowError):
-        whole, at = [], _FARTHEST
-    if whole != parts or abs(at) >= _FARTHEST:
-        raise ValueError(f"expected a stamp in whole seconds and nanoseconds, got {shown(parts)}")
-    return at
+        if whole == parts and abs(at := whole[0] * 10**9 + whole[1]) < _FARTHEST:
+            return at
+    raise ValueError(f"expected a stamp in whole seconds and nanoseconds, got {shown(parts)}")
 
 
 def _inside(message: Any, name: str) -> Any:
@@ -314,55 +294,39 @@ def _decoder(factory: Any, path: Path, topic: str, encoding: str, schema: Any) -
 
 
 def _mcap(path: Path, wanted: Wanted) -> Found:
-    try:
+    with needing("packages mcap and mcap-ros2-support", "reading MCAP files", "mcap"):
         from mcap.reader import make_reader
         from mcap_ros2.decoder import DecoderFactory
-    except ImportError as error:
-        raise InputError(
-            "reading MCAP files: expected the packages mcap and mcap-ros2-support; install flexspline[mcap]"
-        ) from error
     factory = DecoderFactory()
-
-    with path.open("rb") as stream:
-        try:
-            reader = make_reader(stream)
-            summary = reader.get_summary()
-            chosen = None if summary is None else [c.topic for c in summary.channels.values() if wanted(c.topic)]
-            if chosen == []:
-                return
-            decoders: dict[int, Callable[[bytes], Any]] = {}
-            for schema, channel, message in reader.iter_messages(topics=chosen):
-                topic = channel.topic
-                if not wanted(topic):
-                    continue
-                if channel.id not in decoders:
-                    decoders[channel.id] = _decoder(factory, path, topic, channel.message_encoding, schema)
-                try:
-                    found = decoders[channel.id](message.data)
-                except Exception as error:  # of bytes that are none of such a message
-                    kind = type(error).__name__
-                    raise InputError(f"{path}: topic {topic}: not a readable message: {kind}: {error}") from error
-                yield topic, message.log_time, found
-        except InputError:
-            raise
-        except Exception as error:  # of a library, for damaged files
-            raise InputError(f"{path}: not a readable MCAP file: {first_line(error)}") from error
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+    with path.open("rb") as stream, reading(path, "MCAP file"):
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        chosen = None if summary is None else [c.topic for c in summary.channels.values() if wanted(c.topic)]
+        if chosen == []:
+            return
+        for schema, channel, message in reader.iter_messages(topics=chosen):
+            topic = channel.topic
+            if not wanted(topic):
+                continue
+            if channel.id not in decoders:
+                decoders[channel.id] = _decoder(factory, path, topic, channel.message_encoding, schema)
+            try:
+                found = decoders[channel.id](message.data)
+            except Exception as error:  # of bytes that are none of such a message
+                kind = type(error).__name__
+                raise InputError(f"{path}: topic {topic}: not a readable message: {kind}: {error}") from error
+            yield topic, message.log_time, found
 
 
 def _bag(path: Path, wanted: Wanted) -> Found:
     """Messages of a ROS 1 bag, or of a ROS 2 bag's folder or database; the usual definitions where it brings none."""
-    try:
+    with needing("package rosbags", "reading bags"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise InputError("reading bags: expected the package rosbags; install flexspline[logs]") from error
+    store = get_typestore(Stores.ROS2_HUMBLE)
     what = "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag"
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            chosen = [connection for connection in reader.connections if wanted(connection.topic)]
-            for connection, logged, data in reader.messages(chosen) if chosen else ():
-                yield connection.topic, logged, reader.deserialize(data, connection.msgtype)
-    except InputError:
-        raise
-    except Exception as error:  # of a library, for damaged files
-        raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error
+    with reading(path, what), AnyReader([path], default_typestore=store) as reader:
+        chosen = [connection for connection in reader.connections if wanted(connection.topic)]
+        for connection, logged, data in reader.messages(chosen) if chosen else ():
+            yield connection.topic, logged, reader.deserialize(data, connection.msgtype)

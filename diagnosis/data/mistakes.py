@@ -24,7 +24,7 @@ from ...models.errors import InputError, InputWarning
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording, check_channels, with_load
 from ...models.signals import DRIVING, POSITIONS
-from .changes import GRAVITY, NO_CHANGE, UNSURE, Mistake, Table, expected_sign, shrinkage, side, undone
+from .changes import GRAVITY, NO_CHANGE, UNSURE, Mistake, Table, expected_sign, probability, shrinkage, side, undone
 from .plausibility import SETTINGS as AGREEMENT
 from .plausibility import Plausibility, RelationFit, SmoothedChannels, motion_of
 from .samples import bridged, still_commands, unwrapped, wrong_samples
@@ -129,7 +129,7 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     if load is not None and load.score > end.score - SETTINGS.beyond:
         found = [m if m.name in _OF_LOAD or m.column == GRAVITY else _unsure(m) for m in found]
         if load.found and load.score > end.score + SETTINGS.beyond:
-            wrong = [replace(m, confidence=_probability(load.score - end.score)) for m, _ in load.found]
+            wrong = [replace(m, confidence=probability(load.score - end.score)) for m, _ in load.found]
             found, end, fits = [*(m for m in found if m.name == "late"), *wrong], load, True
     return [*late, *(found if fits and not start.leaves_a_load(end) else map(_unsure, found))]
 
@@ -138,31 +138,19 @@ def _unsure(m: Mistake) -> Mistake:
     return replace(m, confidence=min(m.confidence, UNSURE))
 
 
-def _probability(gain: float) -> float:
-    """Return the probability of a hypothesis over another one, by the gain in score."""
-    return 1 / (1 + math.exp(-min(max(gain, -50.0), 50.0) / 3))
-
-
 _Fits = dict[str, RelationFit]
 """Relations of a recording."""
 
 
 @dataclass(frozen=True)
 class _State:
-    """Channels with some changes, or under another description of the joint.
+    """Channels with some changes, or under another description of the joint."""
 
-    Attributes:
-      motions, fits: channels and relations of every recording.
-      found: changes, each with its recordings by index.
-      price: of changes and description, in log likelihood.
-      refund: part of the price that changes give back.
-    """
-
-    motions: tuple[SmoothedChannels | None, ...]
-    fits: tuple[_Fits, ...]
-    found: tuple[tuple[Mistake, tuple[int, ...]], ...] = ()
-    price: float = 0.0
-    refund: float = 0.0
+    motions: tuple[SmoothedChannels | None, ...]  # channels of every recording
+    fits: tuple[_Fits, ...]  # their relations
+    found: tuple[tuple[Mistake, tuple[int, ...]], ...] = ()  # changes, each with its recordings by index
+    price: float = 0.0  # of changes and description, in log likelihood
+    refund: float = 0.0  # part of the price that changes give back
 
     @property
     def score(self) -> float:
@@ -190,8 +178,7 @@ class _State:
     def rest(self) -> float:
         """Residual of torques over their spread, of a recording in the middle; 0 without torques."""
         torques = [[one[name].rest for name in DRIVING if name in one] for one in self.fits]
-        found = [max(rests) for rests in torques if rests]
-        return float(np.median(found)) if found else 0.0
+        return float(np.median([max(rests) for rests in torques if rests] or [0.0]))
 
     def leaves_a_load(self, other: _State) -> bool:
         """Return whether another state may only fit an unmeasured load: torques alone disagree here, and much of them is left."""
@@ -246,14 +233,6 @@ class _Tried:
     def more(self) -> float:
         return _total(self.after) - _total(self.before)
 
-    @property
-    def gain(self) -> float:
-        return self.more - self.cost
-
-    @property
-    def fits_only_with(self) -> bool:
-        return _suspicious(self.before) and not _suspicious(self.after)
-
 
 def _off_alike(ratios: Sequence[float], times: float) -> bool:
     """Return whether all ratios are above a factor, or all below its inverse."""
@@ -261,11 +240,7 @@ def _off_alike(ratios: Sequence[float], times: float) -> bool:
 
 
 class _Search:
-    """Beam search for the changes that make the channels fit.
-
-    Attributes:
-      start: state without changes.
-    """
+    """Beam search for the changes that make the channels fit; `start`: the state without changes."""
 
     def __init__(self, recordings: Sequence[Recording], joint: Joint):
         self._recordings, self._joint = tuple(recordings), joint
@@ -289,10 +264,8 @@ class _Search:
         return tuple({} if m is None else p.agreement(m) for p, m in zip(plausible, motions, strict=True))
 
     def with_another_load(self) -> _State:
-        """Return the channels without changes, each recording with the load that fits its torque best.
-
-        `found` has the described loads that are then wrong; none if the channels still disagree.
-        """
+        """Return the channels without changes, each recording with the load that fits its torque best; `found` has the described
+        loads that are then wrong, none if the channels still disagree."""
         found, plausible = list[tuple[Mistake, tuple[int, ...]]](), list[Plausibility]()
         parts = zip(self._recordings, self._plausible, self.start.motions, self.start.fits, strict=True)
         for i, (r, p, motion, fits) in enumerate(parts):
@@ -314,15 +287,15 @@ class _Search:
         return state if state.worst > SETTINGS.wrong else replace(state, found=())
 
     def has_another_scale(self, state: _State) -> bool:
-        """Return whether the only torque channel needs both numbers of each described load larger, or both smaller.
-
-        With another clock any inertia fits.
-        """
+        """Return whether the only torque channel needs both numbers of each described load larger, or both smaller. With another
+        clock any inertia fits."""
         found, clock = [], any(m.column == "time" for m, _ in state.found)
         for p, motion, fits in zip(self._plausible, state.motions, state.fits, strict=True):
             torques = [name for name in DRIVING if name in fits]
             if motion is not None and len(torques) == 1 and p.mounting.gravity_moment > 0.0:
-                found.append(_off_alike(p.load_ratios(motion, torques[0])[int(clock) :], AGREEMENT.scale))
+                inertia, along, across = p.torque(motion, torques[0], free=True).coefficients[:3]
+                ratios = (float(inertia), math.hypot(along, across) / p.mounting.gravity_moment)
+                found.append(_off_alike(ratios[int(clock) :], AGREEMENT.scale))
         return bool(found) and all(found)
 
     def fits_a_lighter_drive(self) -> bool:
@@ -378,21 +351,21 @@ class _Search:
             if (m.name, m.column) in done:
                 continue
             tried = [self._tried(m, i, state) for i in range(len(state.fits))]
-            everywhere = all(one.gain > SETTINGS.worse for one in tried)
-            least = m.price + SETTINGS.sure
-            chosen = [i for i, one in enumerate(tried) if everywhere or one.gain > least]
+            gains, least = [one.more - one.cost for one in tried], m.price + SETTINGS.sure
+            chosen = [i for i, gain in enumerate(gains) if min(gains) > SETTINGS.worse or gain > least]
             if chosen:  # a change also holds where channels fit only with it, even if torques shrink
-                chosen = [i for i, one in enumerate(tried) if i in chosen or (one.fits_only_with and one.more > least)]
+                only = [_suspicious(one.before) and not _suspicious(one.after) and one.more > least for one in tried]
+                chosen = [i for i in range(len(tried)) if i in chosen or only[i]]
             if not chosen or not self._leaves_motion(m, [tried[i] for i in chosen]):
                 continue  # a link at rest fits any torque
             everywhere = all(i in chosen or one.after is one.before for i, one in enumerate(tried))
             price = m.price if everywhere else (m.price + SETTINGS.one_of_several) * len(chosen)
-            gain = sum(tried[i].gain for i in chosen) - price
+            gain = sum(gains[i] for i in chosen) - price
             if gain > 0:
                 step = _State(
                     tuple(one.motion if i in chosen else state.motions[i] for i, one in enumerate(tried)),
                     tuple(one.after if i in chosen else one.before for i, one in enumerate(tried)),
-                    (*state.found, (replace(m, confidence=_probability(gain)), tuple(chosen))),
+                    (*state.found, (replace(m, confidence=probability(gain)), tuple(chosen))),
                     state.price + price + sum(tried[i].cost for i in chosen),
                     state.refund + sum(max(-tried[i].cost, 0.0) for i in chosen if not m.becomes),
                 )
@@ -415,10 +388,8 @@ class _Search:
         return False
 
     def _best_unit(self, steps: Sequence[_State], column: str) -> list[_State]:
-        """Reduce the steps that change the unit of one column to the best one, and limit its confidence by the others.
-
-        Units that differ by a factor of two fit about as well. The described encoder's counts are preferred among them.
-        """
+        """Reduce the steps that change the unit of one column to the best one, and limit its confidence by the others. Units that
+        differ by a factor of two fit about as well; the described encoder's counts are preferred among them."""
         whole = column in self._table.whole
 
         def of_them(m: Mistake) -> bool:
@@ -455,31 +426,26 @@ def _said(fit: RelationFit) -> float:
 def _time_unit(recordings: Sequence[Recording]) -> list[Mistake]:
     """Find a time that is not in seconds: gaps between all samples, but smooth motion."""
     interval = min((r.interval for r in recordings), default=0.0)
-    if interval <= GAP or not all(_sampled_fast(r) for r in recordings):
+    if interval <= GAP or not all(any(_smooth(r[n]) for n in POSITIONS if n in r) for r in recordings):
         return []
-    units = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}
-    unit = next((unit for unit in units if interval * unit < GAP), None)
-    return [] if unit is None else [Mistake("unit", "time", "", f"{units[unit]}, logged as seconds", 0.99, factor=unit)]
+    units = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+    fitting = [(said, unit) for said, unit in units.items() if interval * unit < GAP]
+    return [Mistake("unit", "time", "", f"{said}, logged as seconds", 0.99, factor=unit) for said, unit in fitting[:1]]
 
 
-def _sampled_fast(recording: Recording) -> bool:
-    """Return whether a recording's angles are sampled much faster than they move."""
-    for name in POSITIONS:
-        x = recording.columns.get(name)
-        if x is not None and len(x) > 4 * _APART:
-            first = x[_APART:] - x[:-_APART]
-            second = first[_APART:] - first[:-_APART]
-            usual = [float(np.quantile(np.abs(d), 0.95)) for d in (first, second)]  # ignores jumps at gaps
-            if usual[1] < _SMOOTH * usual[0]:
-                return True
-    return False
+def _smooth(x: np.ndarray) -> bool:
+    """Return whether an angle is sampled much faster than it moves."""
+    if len(x) <= 4 * _APART:
+        return False
+    first = x[_APART:] - x[:-_APART]
+    second = first[_APART:] - first[:-_APART]
+    usual = [float(np.quantile(np.abs(d), 0.95)) for d in (first, second)]  # ignores jumps at gaps
+    return usual[1] < _SMOOTH * usual[0]
 
 
 def _temperature(recording: Recording) -> list[Mistake]:
     """Find a temperature in kelvin or degrees Fahrenheit."""
-    if "temperature" not in recording:
-        return []
-    usual = float(np.median(recording["temperature"]))
+    usual = float(np.median(recording["temperature"])) if "temperature" in recording else math.nan
     return [
         Mistake("unit", "temperature", recording.name, f"{said}, logged as °C", 0.99, factor=factor, offset=offset)
         for said, (low, high), factor, offset in _SCALES
@@ -587,19 +553,15 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
     lost = np.zeros(len(time), bool)
     for m in mistakes:
         rows = np.array(m.rows or (), int)
-        if m.name == "sign" and m.lost:
+        signless = m.name == "sign" and m.lost
+        if signless or (m.name in ("stuck", "clipped") and len(rows) == len(time)):
             columns.pop(m.column, None)
-            check_channels(f"{where} {m.column}, whose sign is lost", columns)
+            check_channels(f"{where} {m.column}, {'whose sign is lost' if signless else 'which is stuck'}", columns)
         elif m.column == GRAVITY:
-            turned = float(np.remainder(recording.link.gravity_angle + np.pi, _TURN))
-            turned -= _TURN if turned > np.pi else 0.0
+            turned = math.remainder(recording.link.gravity_angle + np.pi, _TURN)
             recording = replace(recording, link=recording.link.model_copy(update={"gravity_angle": turned}))
-        elif m.name in ("stuck", "clipped") and m.column in columns:
-            if len(rows) == len(time):
-                del columns[m.column]
-                check_channels(f"{where} {m.column}, which is stuck", columns)
-            else:
-                lost[rows] = True
+        elif m.name in ("stuck", "clipped"):
+            lost[rows] |= m.column in columns
         elif m.name == "glitch" and m.column in columns:
             columns[m.column] = bridged(time, columns[m.column], rows)
         elif m.name == "wrapped" and m.offset is None and m.column in columns:

@@ -99,9 +99,8 @@ def _unit_of(name: str, stated: str | None) -> str | None:
     found = re.search(r"[\[(]\s*([^\])\d]+?)\s*[\])]\s*$", name)
     text = (found.group(1) if found else stated or "").strip()
     known = {unit.lower(): unit for unit in UNITS if unit not in ("mN·m", "mNm")} | _UNIT_WORDS
-    return (known | {"sec": "s", "c": "°C", "n*m": "N·m", "n.m": "N·m", "mn*m": "mN·m", "mn·m": "mN·m"}).get(
-        text.lower()
-    )
+    known |= {"sec": "s", "c": "°C", "n*m": "N·m", "n.m": "N·m", "mn*m": "mN·m", "mn·m": "mN·m"}
+    return known.get(text.lower())
 
 
 _STRONG = ("position", "velocity", "acceleration", "current", "torque", "temperature")
@@ -154,7 +153,7 @@ def _described(name: str, values: np.ndarray, stated: str | None) -> _Column:
     side = next((k for k in inside if k in ("motor", "link")), "")
     if kind == "position" and words[-2:] == ["pos", "estimate"]:  # of ODrive
         side, unit = "motor", "rev"
-    side = "link" if not side and kind == "position" and "load" in inside else side
+    side = side or ("link" if kind == "position" and "load" in inside else "")
     rest = tuple(word for word in words if word not in _KNOWN)
     return _Column(name, numbers[np.isfinite(numbers)], kind, side, command, unit, rest, dated)
 
@@ -218,9 +217,7 @@ def _angle(column: _Column, given: str | None = None) -> tuple[dict, str]:
     if found["unit"] == "counts":
         found["counts"] = 2 ** max(12, int(np.ceil(np.log2(max(largest, 1) + 1))))
         why = "whole numbers; counts per turn: CHECK"
-    turn = {
-        "rad": 2 * np.pi, "deg": 360.0, "rev": 1.0, "counts": found.get("counts", 0), "°": 360.0, "mrad": 2e3 * np.pi,
-    }[found["unit"]]  # fmt: skip
+    turn = 2 * np.pi / UNITS[found["unit"]][1] * found.get("counts", 1)
     jump = float(np.max(np.abs(np.diff(values))))
     if 0.7 * turn < jump < 1.3 * turn:
         found["wraps"] = True
@@ -246,9 +243,8 @@ def _quantity(column: _Column) -> tuple[dict, str]:
             why += "; an effort is a torque at the output in ROS. If it is a current, name it motor_current, in A"
         return {"unit": "mN·m" if largest > 3000 else "N·m"}, why
     if column.kind == "temperature":
-        return {"unit": "°C"} | (
-            {"offset": -273.15} if 250 < np.median(column.values) < 420 else {}
-        ), f"largest {largest:.4g}"
+        kelvin = 250 < np.median(column.values) < 420
+        return {"unit": "°C", **({"offset": -273.15} if kelvin else {})}, f"largest {largest:.4g}"
     return {"unit": "1", "scale": 0.001}, "a duty or load, no torque: FILL IN its A per unit, and its sign"
 
 
@@ -302,10 +298,9 @@ def proposed(path: Path) -> str:
     found: dict[str, tuple[dict, str]] = {}
     used: set[str] = set()
 
-    def propose(target: str, column: _Column | None, quantity: dict, why: str) -> None:
-        if column is not None:
-            used.add(column.name)
-            found[target] = ({"column": column.name, **quantity}, why)
+    def propose(target: str, column: _Column, quantity: dict, why: str) -> None:
+        used.add(column.name)
+        found[target] = ({"column": column.name, **quantity}, why)
 
     of, others = _joint(columns)
     times = [c for c in columns if c.kind == "time" and _increases(c)]
@@ -320,26 +315,21 @@ def proposed(path: Path) -> str:
     else:
         found["time"] = ({"rate": 1000}, "FILL IN: no column increases as a time does; this many rows a second")
     motor_side = _measured(columns, "position", of, "motor")
+    angle_unit = ""
     if link_side is not None:
-        quantity, why = _angle(link_side)
-        propose("link_position", link_side, quantity, why)
+        propose("link_position", link_side, *_angle(link_side))
+        angle_unit = found["link_position"][0]["unit"]
+        commands = [c for c in columns if c.kind == "position" and c.command and c.of == of and c.side != "motor"]
+        for command in commands[:1]:
+            quantity, _ = _angle(replace(command, side=""), angle_unit)
+            propose("position_command", command, quantity | {"optional": True}, "commanded; unit as of the angle")
     if motor_side is not None:
-        by_ratio = (
-            _motor_unit(motor_side, link_side, found["link_position"][0]["unit"]) if link_side is not None else None
-        )
+        by_ratio = _motor_unit(motor_side, link_side, angle_unit) if link_side is not None else None
         quantity, why = _angle(motor_side, by_ratio)
         propose("motor_position", motor_side, quantity, why + (", by its ratio to the link's" if by_ratio else ""))
-    elif link_side is None:
-        speed = _measured(columns, "velocity", of)
-        if speed is not None:
-            unit = speed.unit if speed.unit and UNITS[speed.unit][0] == "rad/s" else "rad/s"
-            propose("link_position", speed, {"unit": unit, "integrate": True}, "no angle, but a speed")
-    command = next(
-        (c for c in columns if c.kind == "position" and c.command and c.of == of and c.side != "motor"), None
-    )
-    if command is not None and link_side is not None:
-        quantity, why = _angle(replace(command, side=""), found["link_position"][0]["unit"])
-        propose("position_command", command, quantity | {"optional": True}, "commanded; unit as of the angle")
+    elif link_side is None and (speed := _measured(columns, "velocity", of)) is not None:
+        unit = speed.unit if speed.unit and UNITS[speed.unit][0] == "rad/s" else "rad/s"
+        propose("link_position", speed, {"unit": unit, "integrate": True}, "no angle, but a speed")
     for target, kind, side in (
         ("motor_current", "current", None), ("motor_torque", "torque", "motor"), ("joint_torque", "torque", "link"),
         ("joint_torque", "torque", ""), ("temperature", "temperature", None),
@@ -348,27 +338,14 @@ def proposed(path: Path) -> str:
         if column is not None and target not in found:
             quantity, why = _quantity(column)
             propose(target, column, quantity | ({"optional": True} if target == "temperature" else {}), why)
-    if not {"motor_current", "motor_torque", "joint_torque"} & set(found):
-        column = _measured(columns, "load", of)
-        propose("motor_current", column, *(_quantity(column) if column else ({}, "")))
-    if not {"motor_position", "link_position"} & set(found):
+    if not found.keys() & {*POSITIONS}:
         found["link_position"] = ({"column": "COLUMN", "unit": "rad"}, "FILL IN: no name says an angle")
-    if not {"motor_current", "motor_torque", "joint_torque"} & set(found):
+    if not found.keys() & {*DRIVING}:
         found["motor_current"] = ({"column": "COLUMN", "unit": "A"}, "FILL IN: no name says a current or torque")
+        if (load := _measured(columns, "load", of)) is not None:
+            propose("motor_current", load, *_quantity(load))
     episode = next((c.name for c in columns if c.kind == "episode"), None)
     spare = [name for name in dict.fromkeys(log.names) if name not in used and name != episode]
-    return _mapping(path, found, episode, of, others, spare)
-
-
-def _mapping(
-    path: Path,
-    found: dict[str, tuple[dict, str]],
-    episode: str | None,
-    of: tuple[str, ...],
-    others: list[tuple[str, ...]],
-    spare: list[str],
-) -> str:
-    """Return the text of a mapping file with quantities and reasons by channel."""
     lines = [
         f"# Proposed for {path.name} by names and values. Check every line; FILL IN what is marked.",
         "format: 1",

@@ -10,14 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter, percentile_filter
+from scipy.ndimage import convolve1d, maximum_filter1d, median_filter, percentile_filter
 
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import DRIVING, POSITIONS
-from .changes import Mistake
+from .changes import Mistake, side
 from .plausibility import smallest_step
 
 
@@ -124,25 +125,18 @@ def jumps(recording: Recording, joint: Joint) -> np.ndarray:
     off, far = [], []
     for name in POSITIONS:
         steps = _Steps(recording.time, recording[name] / (N if name == "motor_position" else 1.0))
-        far.append(steps.size > steps.far())
+        far.append(steps.size > steps.far)
         off.append(steps.off)
         del steps
-    both = np.flatnonzero(far[0] & far[1])
-    motor, link = (x[both] for x in off)
-    found = both[np.abs(motor - link) < SETTINGS.together * np.abs(link)]
+    alike = far[0] & far[1] & (np.abs(off[0] - off[1]) < SETTINGS.together * np.abs(off[1]))
     # A jump back is a glitch.
-    back = [
-        bool(np.any(far[1][max(k - SETTINGS.longest, 0) : k]) or np.any(far[1][k + 1 : k + 1 + SETTINGS.longest]))
-        for k in found
-    ]
-    return found[~np.array(back, bool)] + 1
+    near = convolve1d(far[1].astype(np.int8), np.ones(2 * SETTINGS.longest + 1, np.int8), mode="constant")
+    return np.flatnonzero(alike & (near == 1)) + 1
 
 
 def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[str, ...]]:
-    """Insert gaps in time where samples are missing (`jumps`); also return a message for each.
-
-    `Recording.stamps` keeps the original time.
-    """
+    """Insert gaps in time where samples are missing (`jumps`); also return a message for each. `Recording.stamps` keeps the
+    original time."""
     messages, found = [], []
     for recording in measurement.recordings:
         rows, time = jumps(recording, joint), recording.time.copy()
@@ -157,19 +151,13 @@ def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[s
 
 
 def still_commands(recordings: Sequence[Recording], joint: Joint) -> list[list[Mistake]]:
-    """Find, for each recording, a constant position command of a moving link; one recording decides for equal commands.
-
-    Drives in torque or velocity mode log such commands.
-    """
+    """Find, for each recording, a constant position command of a moving link, as drives in torque or velocity mode log it; one
+    recording decides for equal commands."""
     N = joint.numbers["N"].value
-    at: list[float | None] = []
-    still = set()
-    for r in recordings:
-        command = r.columns.get("position_command")
-        at.append(float(command[0]) if command is not None and np.ptp(command) == 0.0 else None)
-        spans = [float(np.ptp(r[n])) / (N if n == "motor_position" else 1.0) for n in POSITIONS if n in r]
-        if at[-1] is not None and min(spans, default=0.0) > SETTINGS.uncommanded:
-            still.add(at[-1])
+    commands = [r.columns.get("position_command") for r in recordings]
+    at = [None if x is None or np.ptp(x) else float(x[0]) for x in commands]
+    moves = [all(np.ptp(r[n]) / side(n, "", N) > SETTINGS.uncommanded for n in POSITIONS if n in r) for r in recordings]
+    still = {value for value, moving in zip(at, moves, strict=True) if moving and value is not None}
     return [
         [_mistake("stuck", "position_command", r, np.arange(len(r.time)))] if value in still else []
         for r, value in zip(recordings, at, strict=True)
@@ -186,13 +174,9 @@ def bridged(time: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def unwrapped(
     time: np.ndarray, x: np.ndarray, jumps: np.ndarray, turn: float, guide: np.ndarray | None = None, start: float = 0.0
 ) -> np.ndarray:
-    """Return the angle without jumps by whole turns, shape (n,); the first is within half a turn of `start`.
-
-    Args:
-      time, x: of the samples [s], and the angle, shape (n,).
-      jumps: samples after each jump; turn: in the angle's unit.
-      guide: another angle of the same joint, in any unit; determines the turns within gaps, otherwise the speed around them does.
-    """
+    """Return the angle x without jumps by whole turns, shape (n,); the first is within half a turn of `start`. `jumps`: samples
+    after each jump; `turn`: in the angle's unit; `guide`: another angle of the joint, in any unit, that determines the turns
+    within gaps, otherwise the speed around them does."""
     steps, change = np.diff(x), np.zeros(len(x))
     inside = np.diff(time) <= GAP
     plain = inside.copy()
@@ -241,11 +225,15 @@ class _Steps:
         """Absolute steps, shape (n - 1,)."""
         return np.abs(self.off)
 
+    @cached_property
+    def usual(self) -> float:
+        """Size of the largest ordinary steps."""
+        return float(np.quantile(self.size[self.inside], 0.99)) if self.inside.any() else 0.0
+
+    @property
     def far(self) -> float:
-        """Return the least size of an exceptional step."""
-        ordinary = self.size[self.inside]
-        usual = float(np.quantile(ordinary, 0.99)) if len(ordinary) else 0.0
-        return max(SETTINGS.far * usual, SETTINGS.quanta * self.quantum)
+        """Least size of an exceptional step."""
+        return max(SETTINGS.far * self.usual, SETTINGS.quanta * self.quantum)
 
     def glitches(self) -> np.ndarray:
         """Find samples that are far off their neighbours, which agree with each other."""
@@ -255,10 +243,8 @@ class _Steps:
         return few if len(few) else self._many()
 
     def _many(self) -> np.ndarray:
-        """Glitches that are so frequent that far steps are no exception.
-
-        They are compared with a running median; steps must be ordinary without them.
-        """
+        """Find glitches that are so frequent that far steps are no exception, by a running median; steps must be ordinary without
+        them."""
         way = np.concatenate([[0.0], np.cumsum(self.off)])
         off = np.abs(way - median_filter(way, SETTINGS.window, mode="nearest"))
         limit = max(SETTINGS.far * float(np.quantile(off, SETTINGS.usual)), SETTINGS.quanta * self.quantum, 1e-12)
@@ -267,19 +253,14 @@ class _Steps:
         about = percentile_filter(off, 100 * SETTINGS.calm, 2 * SETTINGS.around + 1, mode="nearest")
         far = (off > limit) & (off > SETTINGS.alone * about)
         lengths = np.diff(_edges(far))
-        far &= np.repeat(lengths, lengths) <= SETTINGS.longest
-        rows = np.flatnonzero(far)
-        if not len(rows):
-            return rows
-        step = np.diff(bridged(np.arange(len(way)), way, rows))[self.inside]
-        ordinary = float(np.quantile(self.size[self.inside], 0.99))
-        less = float(np.quantile(np.abs(step), 0.99)) < SETTINGS.cleared * ordinary
-        return rows if less else rows[:0]
+        rows = np.flatnonzero(far & (np.repeat(lengths, lengths) <= SETTINGS.longest))
+        step = np.abs(np.diff(bridged(np.arange(len(way)), way, rows))[self.inside])
+        return rows if float(np.quantile(step, 0.99)) < SETTINGS.cleared * self.usual else rows[:0]
 
     def _few(self) -> np.ndarray:
         """Find glitches if far steps are rare."""
         size, n = self.size, len(self.x)
-        far = size > max(self.far(), 1e-6 * float(np.ptp(self.x)), 1e-12)
+        far = size > max(self.far, 1e-6 * float(np.ptp(self.x)), 1e-12)
         usual = np.where(far, 0.0, size)
         rows: list[int] = []
         for k in np.flatnonzero(far).tolist():
@@ -299,16 +280,13 @@ class _Steps:
 
     def wraps(self, turns: tuple[float, ...]) -> tuple[np.ndarray, float]:
         """Find the samples after jumps by exactly a whole turn, and the turn."""
-        ordinary = self.size[self.inside]
-        if len(ordinary) >= 2 * SETTINGS.neighbours:
-            usual = max(float(np.quantile(ordinary, 0.99)), self.quantum, 1e-9)
-            far = np.flatnonzero(self.size > max(SETTINGS.far * usual, SETTINGS.quanta * self.quantum))
-            jumps = np.abs(self.off[far])
-            # Exclude stuck readings before a jump.
-            moved = [bool(np.any(self.step[max(k - SETTINGS.still[1], 0) : k])) for k in far]
+        usual = max(self.usual, self.quantum, 1e-9)
+        far = np.flatnonzero(self.size > max(SETTINGS.far * usual, SETTINGS.quanta * self.quantum))
+        # Exclude stuck readings before a jump.
+        moved = all(np.any(self.step[max(k - SETTINGS.still[1], 0) : k]) for k in far)
+        if len(far) and moved and np.count_nonzero(self.inside) >= 2 * SETTINGS.neighbours:
             for turn in turns:
-                exact = np.abs(jumps - turn) < 2e-3 * turn + usual
-                if len(far) and turn > 12 * usual and np.all(exact) and all(moved):
+                if turn > 12 * usual and np.all(np.abs(np.abs(self.off[far]) - turn) < 2e-3 * turn + usual):
                     return far + 1, turn
         return np.empty(0, int), 0.0
 
@@ -408,32 +386,27 @@ def _edges(x: np.ndarray) -> np.ndarray:
 def _still(
     time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: float, limit: float
 ) -> dict[str, np.ndarray]:
-    """Find samples of a column that should move but does not, `stuck`, and those at a sensor's limit, `clipped`.
-
-    Args:
-      limit: physical limit of the column.
-    """
-    x, none = columns[name], np.empty(0, int)
+    """Find samples of a column that should move but does not, `stuck`, and those at a sensor's limit, `clipped`; `limit`: the
+    column's physical one."""
+    x = columns[name]
     edges = _edges(x)
     begins, lengths = edges[:-1], np.diff(edges)
     if len(begins) == 1:
         moves = any(np.ptp(columns[n]) > 0 for n in columns if n != name and n != "temperature")
         wanted = name in DRIVING or _moves_meanwhile(columns, name, slice(0, len(x)), N)
         nothing = not moves and len(x) > SETTINGS.still[1]
-        return {"stuck": np.arange(len(x)) if wanted or nothing else none}
-    clipped = _clipped(columns, name, begins, lengths, limit) if name in DRIVING else none
+        return {"stuck": np.arange(len(x) if wanted or nothing else 0)}
+    clipped = _clipped(columns, name, begins, lengths, limit) if name in DRIVING else edges[:0]
     ends = {float(x.min()), float(x.max())}
     ordinary = 1 if name in POSITIONS else float(np.quantile(lengths, 0.95))
-    found: dict[str, list[np.ndarray]] = {"stuck": [none], "clipped": [clipped]}
+    found = {"stuck": [edges[:0]], "clipped": [clipped]}
     long = lengths >= max(SETTINGS.still[1], 12 * ordinary)
     for begin, length in zip(begins[long].tolist(), lengths[long].tolist(), strict=True):
         part = slice(begin, begin + length)
         at_end = float(x[begin]) in ends
-        if time[part.stop - 1] - time[begin] < SETTINGS.still[0] or (
-            at_end and name in DRIVING and (len(clipped) or _at(x[begin], limit))
-        ):
-            continue
-        if _moves_meanwhile(columns, name, part, N):
+        at_limit = at_end and name in DRIVING and (len(clipped) or _at(x[begin], limit))
+        lasting = time[part.stop - 1] - time[begin] >= SETTINGS.still[0]
+        if lasting and not at_limit and _moves_meanwhile(columns, name, part, N):
             what = "clipped" if name in POSITIONS and at_end and _leaves_softly(x, part.stop) else "stuck"
             found[what].append(np.arange(begin, part.stop))
     return {what: np.sort(np.concatenate(rows)) for what, rows in found.items()}
@@ -444,10 +417,9 @@ def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, part: slice, 
     others = [n for n in POSITIONS if n in columns and n != name and np.ptp(columns[n]) > 0]
     if name in DRIVING:
         return any(_travelled(columns[n][part]) > SETTINGS.driven * np.ptp(columns[n]) for n in others)
-    for other in others:
-        moved, whole = _travelled(columns[other][part]), float(np.ptp(columns[other]))
-        if moved > SETTINGS.moved[0] * whole and moved > SETTINGS.moved[1] * (N if other == "motor_position" else 1.0):
-            return True
+    share, least = SETTINGS.moved
+    if any(_travelled(x[part]) > max(share * np.ptp(x), least * side(n, "", N)) for n in others for x in (columns[n],)):
+        return True
     # A single stuck encoder continues with a jump; a joint held by friction does not.
     steps = np.abs(np.diff(columns[name]))
     if others or part.stop >= len(steps) + 1 or not steps.any():

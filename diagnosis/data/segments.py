@@ -156,10 +156,8 @@ def undisturbed(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def segments(recordings: Sequence[Recording | Conditioned], joint: Joint) -> tuple[list[Segment], list[Segment]]:
-    """Smooth every segment of every recording, conditioned or not; return segments and noise replicates.
-
-    Recordings with unmeasured pushes (`pushed`) do not count if there are others.
-    """
+    """Smooth every segment of every recording, conditioned or not; return segments and noise replicates. Recordings with
+    unmeasured pushes (`pushed`) do not count if there are others."""
     rng = np.random.default_rng(1)
     found, replicates = [], []
     prepared = [r if isinstance(r, Conditioned) else condition(r, joint) for r in recordings]
@@ -216,14 +214,18 @@ def _segment(
     usable, held_out = _usable(recording, index, at, state[:, 0], balances, settle)
     sampled = np.ones_like(usable) if link_measured else _sampled(conditioned, part, at + recording.time[0])
     usable, held_out = usable & sampled, held_out & sampled
+    # Torque of the link's gravity and inertia.
+    own = p["Mg"] * np.sin(state[:, 1] + p["gravity_angle"]) + p["Jl"] * state[:, 4]
+    s = joint.sensors
+    count = s.motor_encoder.resolution if "motor_position" in recording else p["N"] * s.link_encoder.resolution
     one = Segment(
         recording=index, name=recording.name, time=since, rotor=rotor, link=link,
         rotor_measured="motor_position" in recording, link_measured=link_measured, weighed=weighed,
         torque=np.ascontiguousarray(read[:, TORQUE, 0]) if has_torque else np.empty(0),
         external=external, arm=arm, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=rate, measured_bend=bend,
-        state=state, load=measured[:, TORQUE] if has_torque else _own_torque(p, state) - decimate(external),
-        balances=balances, usable=usable, held_out=held_out, at_rest=_at_rest(state[:, 0], _rotor_count(recording, joint, p)),
+        state=state, load=measured[:, TORQUE] if has_torque else own - decimate(external),
+        balances=balances, usable=usable, held_out=held_out, at_rest=_at_rest(state[:, 0], count),
         passband=1 / (2 * np.pi * whole), sampled=float(sampled.mean(axis=0).min()),
     )  # fmt: skip
     one = replace(one, block=_block(one, conditioned, [drawn[n] for n in ENCODERS], read_noise[:, CURRENT, 0], p))
@@ -239,12 +241,8 @@ def _segment(
 def _smoothed(
     conditioned: Conditioned, time: np.ndarray, values: np.ndarray, names: list[str], weighed: bool, p: np.void
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Smooth channels and their noise, shape (n, 2 len(names)).
-
-    Returns:
-      Times [s]; values with two derivatives, shape (m, 2 len(names), 3); the passband of the readings [Hz]; the time in which
-      the smoother settles [s].
-    """
+    """Smooth channels and their noise, shape (n, 2 len(names)). Return times [s]; values with two derivatives, shape
+    (m, 2 len(names), 3); the passband of the readings [Hz]; the time in which the smoother settles [s]."""
 
     def through(cutoff: float, share: float = SHARE) -> tuple[np.ndarray, np.ndarray]:
         s = smooth(time, values, STEP, cutoff, share=share)
@@ -263,21 +261,15 @@ def _smoothed(
     found = np.where(np.isin([*names, *names], ENCODERS)[:, None], through(following)[1], found)
     if weighed:  # channels that are compared go through one smoother
         found = np.where(np.isin([*names, *names], _WEIGHING)[:, None], through(cutoff)[1], found)
-    return (
-        at,
-        found,
-        passband(time, readings, SETTINGS.readings),
-        max(SETTINGS.settle_time, 1 / passband(time, following)),
-    )
+    settle = max(SETTINGS.settle_time, 1 / passband(time, following))
+    return at, found, passband(time, readings, SETTINGS.readings), settle
 
 
 def _block(
     one: Segment, conditioned: Conditioned, noises: Sequence[np.ndarray], current_noise: np.ndarray, p: np.void
 ) -> int:
-    """Return how many residuals count as one (`SegmentSettings.block`), which keeps the frequencies of the motion.
-
-    Above them, acceleration is noise alone, and least squares would be biased (errors in variables).
-    """
+    """Return how many residuals count as one (`SegmentSettings.block`), which keeps the frequencies of the motion: above them,
+    acceleration is noise alone, and least squares would be biased (errors in variables)."""
     rate, most = 1.0 / (STEP * DECIMATION), SETTINGS.block
     block = int(np.clip(0.5 / (STEP * DECIMATION * conditioned.passband), 1, most))
     if not one.link_measured:  # orders of the motor show in the current above the passband of the link's encoder
@@ -340,10 +332,8 @@ def _channels(conditioned: Conditioned, part: slice, joint: Joint, p: np.void, r
 
 
 def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None:
-    """Add the missing encoder's motion from the other one and the description, in place.
-
-    It includes wind-up under the link's weight and inertia, and the kinematic error.
-    """
+    """Add the missing encoder's motion from the other one and the description, in place. It includes wind-up under the link's
+    weight and inertia, and the kinematic error."""
     is_link = "link_position" in columns
     missing, known = ENCODERS if is_link else ENCODERS[::-1]
     rough = columns[known] if is_link else columns[known] / p["N"]
@@ -415,17 +405,6 @@ def _sampled(conditioned: Conditioned, part: slice, at: np.ndarray) -> np.ndarra
             away = np.minimum(np.abs(time[after] - at), np.abs(time[after - 1] - at))
             found[:, balance] = away <= 0.5 * STEP * DECIMATION
     return found
-
-
-def _own_torque(p: np.void, state: np.ndarray) -> np.ndarray:
-    """Return the torque [N·m] of the link's gravity and inertia, shape (k,)."""
-    return p["Mg"] * np.sin(state[:, 1] + p["gravity_angle"]) + p["Jl"] * state[:, 4]
-
-
-def _rotor_count(recording: Recording, joint: Joint, p: np.void) -> float:
-    """Return a count of the encoder that shows the rotor's motion [rad of the rotor]."""
-    s = joint.sensors
-    return s.motor_encoder.resolution if "motor_position" in recording else p["N"] * s.link_encoder.resolution
 
 
 def _at_rest(theta_m: np.ndarray, count: float) -> np.ndarray:

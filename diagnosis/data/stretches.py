@@ -22,10 +22,8 @@ _BINS = 10  # of each quantity, over its range
 
 
 def most_telling(measurement: Measurement, seconds: float = LONGEST) -> Measurement:
-    """Return a measurement of at most `seconds`, from pieces of its recordings that add most, chosen greedily.
-
-    Pieces keep their time; recordings without a chosen piece are left out.
-    """
+    """Return a measurement of at most `seconds`, from pieces of its recordings that add most, chosen greedily. Pieces keep their
+    time; recordings without a chosen piece are left out."""
     if sum(r.time[-1] - r.time[0] for r in measurement.recordings) <= seconds:
         return measurement
     pieces = [(index, piece) for index, r in enumerate(measurement.recordings) for piece in _pieces(r)]
@@ -81,10 +79,8 @@ def _covered(recordings: Sequence[Recording], pieces: Sequence[tuple[int, slice]
 
 
 def _quantities(recording: Recording, step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return quantities of every `step`-th sample, shape (7, n), and whether it moves forward, shape (n,).
-
-    Quantities: angle, speed, size of the acceleration, torque or current, temperature, age, angle of the last reversal.
-    """
+    """Return angle, speed, size of the acceleration, torque or current, temperature, age and angle of the last reversal of every
+    `step`-th sample, shape (7, n), and whether it moves forward, shape (n,)."""
     time = recording.time[::step]
     x = recording[next(name for name in POSITIONS if name in recording)][::step]
     drive = recording[next(name for name in DRIVING if name in recording)][::step]

@@ -20,7 +20,7 @@ from ...models.joint import Joint
 from ...models.motion import smooth
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
-from .changes import Mistake
+from .changes import Mistake, probability
 from .stretches import shortened
 
 
@@ -81,42 +81,38 @@ class _Relation:
 
 _REACH = round(SETTINGS.farthest / SETTINGS.step)
 _SHIFTS = SETTINGS.step * np.arange(-_REACH, _REACH + 1)
+_ORDINARY = dict.fromkeys((*POSITIONS, *DRIVING), SETTINGS.ordinary) | {"link_position": SETTINGS.ordinary_link}
 
 
 def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[tuple[Mistake, tuple[int, ...]], ...]:
     """Find the late columns of a measurement without other mistakes, each with its recordings by index."""
     relations = [_relations(recording, joint) for recording in recordings]
     best = _latest([r for found in relations for r in found])
-    if best is not None and all(_gain(found, best[0], best[1]) >= SETTINGS.worse for found in relations):
-        return (_late(*best, tuple(range(len(recordings)))),)
-    if len(recordings) == 1:
-        return ()
     found: dict[str, list[tuple[int, float, float]]] = {}
-    for i, one in enumerate(relations):
-        name, seconds, gain = _latest(one) or ("", 0.0, 0.0)
-        far = SETTINGS.far_off * max(abs(seconds) - SETTINGS.near, 0.0)
-        if gain > SETTINGS.sure + SETTINGS.one_of_several + far:
-            found.setdefault(name, []).append((i, seconds, gain))
-    return tuple(
-        _late(name, float(np.median([s for _, s, _ in mine])), sum(g for *_, g in mine), tuple(i for i, *_ in mine))
-        for name, mine in found.items()
-    )
-
-
-def _late(name: str, seconds: float, gain: float, having: tuple[int, ...]) -> tuple[Mistake, tuple[int, ...]]:
-    text = f"{1e3 * seconds:.3g} ms later than the others"
-    probability = float(1 / (1 + np.exp(-min(gain - SETTINGS.sure, 50.0) / 3)))
-    return Mistake("late", name, "", text, probability, seconds=seconds), having
+    if best is not None and all(_gain(some, *best[:2]) >= SETTINGS.worse for some in relations):
+        found[best[0]] = [(i, best[1], best[2] / len(relations)) for i in range(len(relations))]
+    elif len(recordings) > 1:
+        for i, some in enumerate(relations):
+            name, seconds, gain = _latest(some) or ("", 0.0, 0.0)
+            far = SETTINGS.far_off * max(abs(seconds) - SETTINGS.near, 0.0)
+            if gain > SETTINGS.sure + SETTINGS.one_of_several + far:
+                found.setdefault(name, []).append((i, seconds, gain))
+    late = []
+    for name, mine in found.items():
+        having, offsets, gains = zip(*mine, strict=True)
+        seconds = float(np.median(offsets))
+        text, sure = f"{1e3 * seconds:.3g} ms later than the others", probability(sum(gains) - SETTINGS.sure)
+        late.append((Mistake("late", name, "", text, sure, seconds=seconds), having))
+    return tuple(late)
 
 
 def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     """Return the time offset that explains most: column, offset [s] and gain."""
-    shifts = _SHIFTS
     pairs = [r for r in relations if r.second in POSITIONS]
     tried = [
         (_gain(relations, name, d), name, d)
         for name in sorted({name for r in relations for name in (r.first, r.second)})
-        for d in shifts[shifts > _ordinary_of(name)[1]].tolist()
+        for d in _SHIFTS[_SHIFTS > _ORDINARY[name][1]].tolist()
         if not pairs or name not in POSITIONS or _gain(pairs, name, d) >= SETTINGS.between
     ]
     if not tried:
@@ -125,51 +121,35 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     mine = [r for r in relations if name in (r.first, r.second)]
     if gain < SETTINGS.sure * (SETTINGS.alone if len(mine) == 1 else 1.0):
         return None
-    left = np.sum([r.left if r.second == name else r.left[::-1] for r in mine], axis=0)
-    i = int(np.argmin(np.where(np.abs(shifts - d) < 0.02, left, np.inf)))
+    turned = [slice(None, None, 1 if r.second == name else -1) for r in mine]
+    left = np.sum([r.left[t] for r, t in zip(mine, turned, strict=True)], axis=0)
+    i = int(np.argmin(np.where(np.abs(_SHIFTS - d) < 0.02, left, np.inf)))
     gains = [_gain([r], name, d) for r in mine]
     by = [sum(g for g, r in zip(gains, mine, strict=True) if r.first == one) for one in {r.first for r in mine}]
     if name in DRIVING[:2] and min(by) < SETTINGS.alike * sum(by) / len(by):  # both encoders must agree
         return None
-    supporting = [r for g, r in zip(gains, mine, strict=True) if g > 0.1 * sum(gains)]
-    if not all((r.fits if r.second == name else r.fits[::-1])[i] for r in supporting):
+    if not all(r.fits[t][i] for g, r, t in zip(gains, mine, turned, strict=True) if g > 0.1 * sum(gains)):
         return None
     side = round(SETTINGS.side / SETTINGS.step)
-    if not side <= i < len(shifts) - side:
-        return None
-    rise = min(left[i - side], left[i + side]) - left[i]
-    if rise < SETTINGS.peaked:  # no distinct minimum
-        return None
+    if not side <= i < len(left) - side or min(left[i - side], left[i + side]) - left[i] < SETTINGS.peaked:
+        return None  # no distinct minimum
     before, at, after = left[i - 1 : i + 2]
     bend = before - 2 * at + after
     off = 0.5 * (before - after) / bend if bend > 0 else 0.0
-    return name, float(shifts[i] + SETTINGS.step * np.clip(off, -0.5, 0.5)), gain
+    return name, float(_SHIFTS[i] + SETTINGS.step * np.clip(off, -0.5, 0.5)), gain
 
 
 def _gain(relations: list[_Relation], late: str, d: float) -> float:
     """Return the gain in log likelihood of a column that is late by d [s]."""
-    total = 0.0
-    for r in relations:
-        if late in (r.first, r.second):
-            total += _least(r, 0.0, "") - _least(r, d, late)
-    return total
-
-
-def _ordinary_of(name: str) -> tuple[float, float]:
-    return SETTINGS.ordinary_link if name == "link_position" else SETTINGS.ordinary
+    return sum(_least(r, 0.0, "") - _least(r, d, late) for r in relations if late in (r.first, r.second))
 
 
 def _least(relation: _Relation, d: float, late: str) -> float:
     """Return the loss of a relation at the best ordinary shift, with one column late by d [s]."""
-    (a, b), (c, e) = (_ordinary_of(name) for name in (relation.first, relation.second))
-    if late == relation.first:
-        a = b = d
-    if late == relation.second:
-        c = e = d
+    (a, b), (c, e) = ((d, d) if name == late else _ORDINARY[name] for name in (relation.first, relation.second))
     low, high = c - b, e - a
     inside = relation.left[(_SHIFTS > low) & (_SHIFTS < high)]
-    ends = np.interp([low, high], _SHIFTS, relation.left)
-    return float(min(ends.min(), inside.min() if len(inside) else np.inf))
+    return float(np.concatenate([np.interp([low, high], _SHIFTS, relation.left), inside]).min())
 
 
 def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
@@ -178,7 +158,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
     names = [n for n in (*POSITIONS, *DRIVING) if n in recording]
     positions = [n for n in POSITIONS if n in names]
     p = joint.record(recording.link)[0]
-    N = float(p["N"])
+    N, value = float(p["N"]), {name: number.value for name, number in joint.numbers.items()}
     limit = SETTINGS.travel * (1.0 if "link_position" in names else N)
     if np.ptp(recording[positions[-1]]) < limit or len(recording.time) < 50:
         return []
@@ -189,69 +169,57 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
         pairs = []
     if len(positions) == 2:
         pairs.append((positions[0], positions[1]))
-    k = _REACH
+    # The least residual that counts: wind-up [rad], current [A] or torque [N·m].
+    least_of = dict.fromkeys(POSITIONS, SETTINGS.wind_up * value["rated_torque"] / value["K1"])
+    least_of["joint_torque"] = SETTINGS.torque * value["rated_torque"]
+    least_of["motor_torque"] = SETTINGS.drive * value["rated_torque"] / value["N"]
+    least_of["motor_current"] = least_of["motor_torque"] / value["Kt"]
     stride = max(sum(len(values) for _, values in parts) // SETTINGS.most, 1)
     found = []
     for first, second in pairs:
-        A, B, V = [], [], []
+        columns: list[tuple[np.ndarray, ...]] = []
         for time, values in parts:
-            i = np.arange(k, len(values) - k, stride)
-            motion = values[:, names.index(first)] / (N if first == "motor_position" else 1.0)
+            i = np.arange(_REACH, len(values) - _REACH, stride)
+            motion = values[i, names.index(first)] / (N if first == "motor_position" else 1.0)
             y = values[:, names.index(second), 0] / (N if second == "motor_position" else 1.0)
-            shifted = np.lib.stride_tricks.sliding_window_view(y, 2 * k + 1)[::stride]
+            shifted = np.lib.stride_tricks.sliding_window_view(y, 2 * _REACH + 1)[::stride]
             if second in POSITIONS:
-                shifted = shifted - motion[i, :1]
-            sliding = N * motion[i, 1] / float(p["vs"])
+                shifted = shifted - motion[:, :1]
+            sliding = N * motion[:, 1] / float(p["vs"])
             use = np.abs(sliding) > SETTINGS.sliding if second != "joint_torque" else np.ones(len(i), bool)
-            if (
-                second not in POSITIONS and use.mean() < SETTINGS.goes
-            ):  # stick-slip: the current rises before the motion
+            if second in DRIVING and use.mean() < SETTINGS.goes:  # stick-slip: the current rises before the motion
                 continue
-            shapes = _shapes(time[i], motion[i], sliding, second)
+            shapes = _shapes(time[i], motion, sliding, second)
             if pushed:
                 shapes = np.column_stack([shapes, values[i, -1, 0]])
-            A.append(shapes[use])
-            B.append(shifted[use])
-            V.append(motion[i, 1][use])
-        if sum(map(len, A)) < SETTINGS.fewest:
+            columns.append((shapes[use], shifted[use], motion[use, 1]))
+        if sum(len(v) for *_, v in columns) < SETTINGS.fewest:
             continue
-        whole, y, v = np.concatenate(A), np.concatenate(B), np.concatenate(V)
-        again = _both_ways(whole[:, 0], v)
-        whole, y = whole[again], y[again]
+        shapes, y, v = (np.concatenate(x) for x in zip(*columns, strict=True))
+        # Only angles that the link passed in both directions.
+        piece = _places(shapes[:, 0]).astype(int)
+        moving = np.abs(v) > SETTINGS.moving * float(np.max(np.abs(v), initial=0.0))
+        forth, back = (np.bincount(piece[moving & (s * v > 0)], minlength=SETTINGS.hats) > 0 for s in (1, -1))
+        again = (forth & back)[piece]
+        shapes, y = shapes[again], y[again]
         if len(y) < SETTINGS.fewest:
             continue
         count = min(SETTINGS.effective[0] * SETTINGS.step * stride * len(y), SETTINGS.effective[1])
-        least = _least_that_counts(joint, second)
-        unexplained = _unexplained(whole, y)
+        unexplained, least = _unexplained(shapes, y), least_of[second]
         share = SETTINGS.fits * (1 if second in DRIVING[:2] else 2)
         fits = unexplained < np.maximum((2 * least) ** 2, share**2 * np.var(y, axis=0))
         found.append(_Relation(first, second, 0.5 * count * np.log(unexplained + least**2), fits))
     return found
 
 
-def _both_ways(theta: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return whether the link passed its angle in both directions, shape (n,)."""
-    piece = ((theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)).astype(int)
-    moving = np.abs(v) > SETTINGS.moving * float(np.max(np.abs(v), initial=0.0))
-    forth, back = (np.bincount(piece[moving & (s * v > 0)], minlength=SETTINGS.hats) > 0 for s in (1, -1))
-    return (forth & back)[piece]
-
-
-def _least_that_counts(joint: Joint, channel: str) -> float:
-    """Return the least residual that counts of a channel: wind-up [rad], current [A] or torque [N·m]."""
-    value = {name: number.value for name, number in joint.numbers.items()}
-    if channel in POSITIONS:
-        return SETTINGS.wind_up * value["rated_torque"] / value["K1"]
-    if channel == "joint_torque":
-        return SETTINGS.torque * value["rated_torque"]
-    torque = SETTINGS.drive * value["rated_torque"] / value["N"]
-    return torque / value["Kt"] if channel == "motor_current" else torque
+def _places(theta: np.ndarray) -> np.ndarray:
+    """Return the place of each angle in their range, from 0 to the number of pieces less one, shape (n,)."""
+    return (theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)
 
 
 def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the mean square of y, shape (n, d), that shapes (n, s) and functions of the first do not explain: shape (d,)."""
-    theta = shapes[:, 0]
-    at = (theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)
+    at = _places(shapes[:, 0])
     # Piecewise linear functions of the angle with sum one.
     A = np.column_stack([shapes, *(np.maximum(1 - np.abs(at - i), 0.0) for i in range(SETTINGS.hats))])
     A = A / np.maximum(np.sqrt(np.mean(A * A, axis=0)), 1e-12)

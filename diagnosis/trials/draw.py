@@ -43,9 +43,7 @@ class Challenge:
     hidden: Hidden = "one"  # one effect, two, one outside the library, or none
     exact: bool = False  # the joint has its nominal numbers, and the diagnosed description has no tolerances
     real: bool = False  # with the small imperfections that every real joint has (`imperfections`)
-    sensor: bool = (
-        True  # the joint torque sensor, at 1 kHz; without it irregularly at about 250 Hz, single samples missing
-    )
+    sensor: bool = True  # with a torque sensor, 1 kHz; without it irregular, about 250 Hz, single samples missing
     without: tuple[str, ...] = ()  # channels that are not recorded
     scenarios: tuple[str, ...] = ()  # names or paths of scenarios to use instead of random motions
     only: tuple[str, ...] = ()  # names of the causes (or effects outside the library) to draw from; all if empty
@@ -135,16 +133,14 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
         for effect in effects:
             effect.apply(record[0])
         seed = int(np.random.default_rng([challenge.seed, index, 10 + k]).integers(2**31))
-        known = bool(challenge.scenarios)
         warming = flaws.warming if flaws is not None else 0.0
-        recording = record_motion(true, mounting, record, scenario, seed, known, warming)
+        recording = record_motion(true, mounting, record, scenario, seed, bool(challenge.scenarios), warming)
         if flaws is not None:
             recording = jittered(recording, flaws.jitter, streams[3])
         if not challenge.sensor:
             recording = bare(recording, streams[3])
-        recording = recording.without(*challenge.without)
         records.append(record)
-        recordings.append(recording)
+        recordings.append(recording.without(*challenge.without))
     measurement = Measurement(f"draw {index}", Path(), tuple(recordings))
     return Draw(effects, tuple(records), measurement, nominal, flaws)
 
@@ -181,8 +177,7 @@ def drowned(joint: Joint) -> frozenset[str]:
 
     def hidden(cause: causes.Cause) -> bool:
         rng = np.random.default_rng(0)
-        drawn = (cause.draw(record, rng) for _ in range(_REDRAWN))
-        effects = (HiddenEffect(cause.name, cause.component, v, "", partial(cause.apply, values=v)) for v in drawn)
+        effects = (_of_library(cause, cause.draw(record, rng)) for _ in range(_REDRAWN))
         return all(within_tolerance(calibration, x, effect) for effect in effects)
 
     return frozenset(n for n in causes.of(joint) if hidden(causes.get(n)))
@@ -232,15 +227,12 @@ def _effects(
         said = f"{names[0]}: {chosen.description}"
         return (HiddenEffect("unknown", chosen.component, values, said, lambda p: chosen.put(p, values)),)
     # Of ordinary size against the nominal joint: that is what diagnosis can know.
-    record = nominal.record()
-    found = []
-    for name in names:
-        cause = causes.get(name)
-        values = cause.draw(record[0], rng, size)
-        found.append(
-            HiddenEffect(name, cause.component, values, cause.description, partial(cause.apply, values=values))
-        )
-    return tuple(found)
+    record = nominal.record()[0]
+    return tuple(_of_library(c, c.draw(record, rng, size)) for c in map(causes.get, names))
+
+
+def _of_library(cause: causes.Cause, values: dict[str, float]) -> HiddenEffect:
+    return HiddenEffect(cause.name, cause.component, values, cause.description, partial(cause.apply, values=values))
 
 
 def drawn_scenarios(challenge: Challenge, index: int, nominal: Joint) -> list[Scenario]:

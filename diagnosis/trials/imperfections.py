@@ -7,6 +7,7 @@ angles of the transmission with its wind-up under that torque. Errors of encoder
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,16 +34,13 @@ class Imperfections:
     def apply(self, record: np.ndarray) -> None:
         """Put what sits in the joint itself into a record, shape (1,), in place."""
         p, v = record[0], self.values
-        p["knee_width"] = v["knee_width"]
-        p["viscous_exponent"] = v["viscous_exponent"]
-        p["flexible_share"], p["flexible_frequency"] = v["flexible_share"], v["flexible_frequency"]
-        p["flexible_damping"] = v["flexible_damping"]
+        for name in v.keys() & set(p.dtype.names or ()):
+            p[name] = v[name]
         p["friction_temperature"] = _FRICTION_PER_KELVIN
         free = [k for k in range(N_ORDERS) if p["amplitude"][k] == 0]
         for slot, name, order in zip(free, ("sixth", "link"), (6.0, 1.0 / float(p["N"])), strict=False):
             p["order"][slot], p["amplitude"][slot] = order, v[f"kinematic_{name}"]
             p["phase"][slot] = v[f"kinematic_{name}_phase"]
-        p["motor_eccentricity"], p["motor_eccentricity_phase"] = v["motor_eccentricity"], v["motor_eccentricity_phase"]
         slot = int(np.flatnonzero(p["link_error_amplitude"] == 0)[-1])
         p["link_error_order"][slot], p["link_error_amplitude"][slot] = 2.0, v["link_encoder_second"]
         p["link_error_phase"][slot] = v["link_encoder_second_phase"]
@@ -52,10 +50,8 @@ class Imperfections:
         own = _OWN.get(name)
         if own is None or values.get("order", 2.0) != 2.0:
             return values
-        wave = sum(
-            a * np.exp(1j * b)
-            for a, b in ((values["amplitude"], values["phase"]), (self.values[own], self.values[f"{own}_phase"]))
-        )
+        pairs = ((values["amplitude"], values["phase"]), (self.values[own], self.values[f"{own}_phase"]))
+        wave = sum(a * np.exp(1j * b) for a, b in pairs)
         return {**values, "amplitude": float(abs(wave)), "phase": float(np.angle(wave))}
 
 
@@ -89,23 +85,18 @@ def imperfections(nominal: Joint, rng: np.random.Generator) -> Imperfections:
         "crosstalk": 0.01 * nominal.mount().gravity_moment * sign(rng),
         "jitter": u(0.05e-3, 0.2e-3),
     }  # fmt: skip
+    errors: dict[str, dict[str, Any]] = {
+        "motor_encoder": {"cyclic_error": v["motor_cyclic"]},
+        "motor_current": {
+            "bandwidth": v["current_bandwidth"],
+            "ripple": Ripple(order=v["ripple_order"], amplitude=v["ripple"], phase=v["ripple_phase"]),
+        },
+        "joint_torque": {
+            "delay": v["torque_delay"], "flicker": v["torque_flicker"], "crosstalk": v["crosstalk"],
+            "vibration": Vibration(frequency=v["vibration_frequency"], amplitude=v["vibration"]),
+        },
+    }  # fmt: skip
     s = nominal.sensors
-    with_errors = s.model_copy(
-        update={
-            "motor_encoder": s.motor_encoder.model_copy(update={"cyclic_error": v["motor_cyclic"]}),
-            "motor_current": s.motor_current.model_copy(
-                update={
-                    "bandwidth": v["current_bandwidth"],
-                    "ripple": Ripple(order=v["ripple_order"], amplitude=v["ripple"], phase=v["ripple_phase"]),
-                }
-            ),
-            "joint_torque": s.joint_torque.model_copy(
-                update={
-                    "delay": v["torque_delay"], "flicker": v["torque_flicker"], "crosstalk": v["crosstalk"],
-                    "vibration": Vibration(frequency=v["vibration_frequency"], amplitude=v["vibration"]),
-                }
-            ),
-        }
-    )  # fmt: skip
-    real = nominal.model_copy(update={"sensors": with_errors})
+    with_errors = {name: getattr(s, name).model_copy(update=own) for name, own in errors.items()}
+    real = nominal.model_copy(update={"sensors": s.model_copy(update=with_errors)})
     return Imperfections(v, real, v["warming"], v["jitter"])

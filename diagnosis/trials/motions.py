@@ -22,12 +22,8 @@ CONTROLLER = Controller(kp=8.0, kd=0.08, ki=20.0)
 def motions(
     rng: np.random.Generator, free: str = "no_load", link: str = "link", strength: float = 1.0
 ) -> list[Scenario]:
-    """Draw three motions, about 85 s: bare joint to both sides; link to both sides; link held and pushed.
-
-    Args:
-      free, link: mountings.
-      strength: of the pushes, 1 for a joint of 16 N·m.
-    """
+    """Draw three motions, about 85 s: bare joint to both sides; link to both sides; link held and pushed. `free`, `link`:
+    mountings; `strength`: of the pushes, 1 for a joint of 16 N·m."""
     u = rng.uniform
     sweeps = [u(1.2, 1.45), -u(1.1, 1.45), u(1.2, 1.45), -u(0.9, 1.45), 0.0]
     bare_, loaded = [u(1.4, 1.65), -u(1.4, 1.7), 0.0], [u(1.2, 1.4), 0.0]
@@ -101,9 +97,7 @@ def record_motion(
         controller.record(record[0], CONTROL_PERIOD, False),
         temperature=float(record[0]["reference_temperature"]) + warming * CONTROL_PERIOD * np.arange(n),
     )
-    model = plant.build(
-        nominal, mounting, timestep=scenario.timestep, record=record, locked_rotor=scenario.locked_rotor
-    )
+    model = plant.build(nominal, mounting, scenario.timestep, record=record, locked_rotor=scenario.locked_rotor)
     loop = ClosedLoop(model, (driven,))
     loop.advance(n)
     found = loop.simulation

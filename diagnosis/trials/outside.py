@@ -31,13 +31,8 @@ def sign(rng: np.random.Generator) -> float:
 def _spline(
     place: str, variable: str, low: float, high: float, shape: Callable[[np.ndarray, Values], np.ndarray]
 ) -> Callable[[np.void, Values], None]:
-    """Return what puts a function into a record as a model discrepancy, the spline through it.
-
-    Args:
-      place, variable: of the discrepancy.
-      low, high: its range; about the effect's angle if that is of the link.
-      shape: values of the function at values of the variable, shape (n,).
-    """
+    """Return what puts a function into a record as a model discrepancy of a place and variable, the spline through it. `low`,
+    `high`: its range, about the effect's angle if that is of the link; `shape`: the function's values, shape (n,)."""
 
     def put(p: np.void, values: Values) -> None:
         slot = int(np.flatnonzero(p["discrepancy_place"] == 0)[0])

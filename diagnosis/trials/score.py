@@ -193,8 +193,8 @@ def _named(effect: HiddenEffect, found: Diagnosis) -> Finding | None:
 def smallest_size(found: Diagnosis, nominal: Joint, effect: HiddenEffect) -> float | None:
     """Return the size of an effect, in its units, that is `DETECTED` standard deviations: Fisher information's limit.
 
-    The information about the size is the Schur complement after all calibration variables, within tolerance, under the
-    noise and model discrepancy that were learned. None where nothing was computed.
+    The information is the Schur complement after all calibration variables, within tolerance, under the noise and model
+    discrepancy that were learned. None where nothing was computed.
     """
     if found.problem is None or found.search is None or found.final is None:
         return None
@@ -328,16 +328,13 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Rate | float]:
         ("both named", several, lambda o: o.all_named),
     )
     found: dict[str, Rate | float] = {name: rate(some, what) for name, some, what in shares if some}
-    errors = [v for o in hidden for v in (o.deviations or {}).values()]
-    if errors:
-        found["parameters within 3 std"] = Rate(sum(s <= PARAMETER_LIMIT for s, _ in errors), len(errors))
-        found["parameters within 3 std and 15 %"] = Rate(
-            sum(s <= PARAMETER_LIMIT and r <= 0.15 for s, r in errors), len(errors)
-        )
-        found["median parameter error [std]"] = float(np.median([s for s, _ in errors]))
-        found["median parameter error [%]"] = float(100 * np.median([r for _, r in errors]))
-    sure = [o.is_there(c) for o in outcomes for c in o.causes if c["confidence"] >= SURE]
-    if sure:
+    if errors := [v for o in hidden for v in (o.deviations or {}).values()]:
+        within = [(s <= PARAMETER_LIMIT, r <= 0.15) for s, r in errors]
+        found["parameters within 3 std"] = Rate(sum(right for right, _ in within), len(errors))
+        found["parameters within 3 std and 15 %"] = Rate(sum(map(all, within)), len(errors))
+        std, share = np.median(errors, axis=0).tolist()
+        found |= {"median parameter error [std]": std, "median parameter error [%]": 100 * share}
+    if sure := [o.is_there(c) for o in outcomes for c in o.causes if c["confidence"] >= SURE]:
         found[f"of causes named at ≥ {SURE:g}: are there"] = Rate(sum(sure), len(sure))
     if any(o.failure for o in outcomes):
         found["failed"] = rate(outcomes, lambda o: bool(o.failure))
@@ -366,10 +363,8 @@ class Row:
 
 
 def rows(outcomes: Sequence[Outcome]) -> list[Row]:
-    """What diagnosis must be good at, over outcomes of every kind; rows of which there is no outcome are left out.
-
-    A diagnosis that failed counts as wrong in every row.
-    """
+    """What diagnosis must be good at, over outcomes of every kind; rows of which there is no outcome are left out. A diagnosis
+    that failed counts as wrong in every row."""
     of = {kind: [o for o in outcomes if o.kind == kind] for kind in ("one", "none", "two", "outside")}
     errors = [s for o in of["one"] for s, _ in (o.deviations or {}).values()]
     sure = [o.is_there(c) for o in outcomes for c in o.causes if c["confidence"] >= SURE]
@@ -419,24 +414,16 @@ def reliability(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, 
 
 
 def found_nine_in_ten(outcomes: Sequence[Outcome]) -> float | None:
-    """Smallest size at which, and above which, nine in ten first causes are right; between sizes on the log scale.
-
-    None where not even the largest size reaches that.
-    """
-    shares = [
-        (size, rate([o for o in outcomes if o.size == size], lambda o: o.first_right).share)
-        for size in sorted({o.size for o in outcomes}, reverse=True)
-    ]
-    best = None
-    for i, (size, share) in enumerate(shares):
-        if share >= 0.9:
-            best = size
-            continue
-        if best is not None and i:
-            above = shares[i - 1][1]
+    """Smallest size at which, and above which, nine in ten first causes are right, between sizes on the log scale; None where
+    not even the largest size reaches that."""
+    best: float | None = None
+    above = np.nan
+    for size in sorted({o.size for o in outcomes}, reverse=True):
+        share = rate([o for o in outcomes if o.size == size], lambda o: o.first_right).share
+        if share < 0.9:
             weight = (above - 0.9) / max(above - share, 1e-9)
-            best = float(np.exp((1 - weight) * np.log(best) + weight * np.log(size)))
-        break
+            return best and float(np.exp((1 - weight) * np.log(best) + weight * np.log(size)))
+        best, above = size, share
     return best
 
 
