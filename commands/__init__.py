@@ -124,7 +124,7 @@ def _load(name: str, folder: str = "") -> Any:
         context = _STYLE["context_settings"]
         single.command(name, help=inspect.getdoc(loaded.command), epilog=examples, context_settings=context)(command)
     built: Any = typer.main.get_command(single)
-    built.name = name
+    built.name, built.short_help = name, built.help.partition("\n\n")[0]
     built.rich_help_panel = next((title for title, names in GROUPS.items() if not folder and name in names), None)
     return built
 
