@@ -24,23 +24,13 @@ if TYPE_CHECKING:
     from ..diagnosis.trials.draw import Hidden as Kind
     from ..diagnosis.trials.score import Outcome
 
-
-class Hidden(StrEnum):
-    """What may be hidden."""
-
-    none = "none"
-    one = "one"
-    two = "two"
-    outside = "outside"
-
-
+Hidden = StrEnum("Hidden", ["none", "one", "two", "outside"])
 _KINDS: dict[Kind, str] = {
     "one": "one effect",
     "none": "nothing",
     "two": "two effects",
     "outside": "an effect outside the library",
 }
-
 _LARGEST_SIZE = 100.0
 EXAMPLES = (
     "flexspline challenge --draws 5 --hidden one --out outcomes.json",

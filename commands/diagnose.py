@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -118,19 +117,14 @@ def show(terminal: Console, report: Report, written: bool) -> None:
 
 
 def _commands(report: Report, written: bool) -> list[str]:
-    from ..models import plugins
-    from ..models.command_lines import checking, mending
+    from ..models.command_lines import checking, command_line, mending
 
-    found, measurement = report.diagnosis, report.measurement
-    measured, folder = shlex.quote(str(measurement.path)), shlex.quote(str(report.folder))
+    found, folder = report.diagnosis, report.folder
     if any(m.severe for m in found.mistakes):
-        return [(mending if found.mendable else checking)(measurement, report.joint)]
-    lines = [f"flexspline view {folder}"] if written else []
+        return [(mending if found.mendable else checking)(report.measurement, report.joint)]
+    lines = [command_line("view", folder)] if written else []
     if not found.complete:
         lines.append("# the time was up: run it again with more --time, or without, to complete the search")
     if found.problem is not None:
-        lines += [
-            f"flexspline validate NEW_MEASUREMENT --joint {folder}/joint.yaml --out check{plugins.options()}",
-            f"flexspline estimate {measured} --joint {folder}/joint.yaml --out estimates{plugins.options()}",
-        ]
-    return [*lines, f"flexspline plan {folder}"] if found.plan is not None and found.plan.proposals else lines
+        lines += [report.validating, report.estimating]
+    return [*lines, command_line("plan", folder)] if found.plan is not None and found.plan.proposals else lines

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -83,12 +82,11 @@ def command(
 
 
 def _again(run: WorstRun, out: Path) -> str:
-    from ..models import plugins
+    from ..models.command_lines import command_line
 
     if run.again is None:
         return " (its joint is drawn)"
-    place = shlex.quote((out / "worst" / f"{run.scenario}.yaml").as_posix())
-    return f"; again: flexspline run {place}{plugins.options()}"
+    return f"; again: {command_line('run', out / 'worst' / f'{run.scenario}.yaml')}"
 
 
 def write_summary(swept: Swept, figures: bool = True) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..models.command_lines import command_line
 from .advice import advice, parameter_text
 from .numbers import percent
 from .tables import markdown_table
@@ -44,6 +45,21 @@ class Report:
     def used(self) -> Measurement:
         """The parts of the measurement that the diagnosis used; its segments count these recordings."""
         return self.diagnosis.used or self.measurement
+
+    @property
+    def extended(self) -> Path:
+        """The file of the extended joint."""
+        return (self.folder or Path("DIR")) / "joint.yaml"
+
+    @property
+    def estimating(self) -> str:
+        """The command line that estimates torques of the measurement with the extended joint."""
+        return command_line("estimate", self.measurement.path, "--joint", self.extended, "--out", "estimates")
+
+    @property
+    def validating(self) -> str:
+        """The command line that compares a new measurement with the extended joint."""
+        return command_line("validate", "NEW_MEASUREMENT", "--joint", self.extended, "--out", "check")
 
 
 def verdict_sentence(d: Diagnosis) -> str:

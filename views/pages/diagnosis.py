@@ -7,16 +7,14 @@ held-out data, what the measurement does not show, and how the numbers were obta
 from __future__ import annotations
 
 import re
-import shlex
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...models import causes, plugins
+from ...models import causes
 from ...models.characteristics import drive_gains
-from ...models.command_lines import checking, mending
+from ...models.command_lines import checking, command_line, mending
 from ..advice import advice, parameter_text
 from ..glossary import meaning, pieces
 from ..numbers import number, percent, with_std
@@ -120,26 +118,24 @@ def html(report: Report) -> str:
 
 
 def _commands(report: Report) -> dict[str, str]:
-    folder = shlex.quote(report.folder.as_posix()) if report.folder is not None else "DIR"
-    joint, more = f"{folder}/joint.yaml", plugins.options()
-    measured = shlex.quote(Path(report.measurement.path).as_posix())
-    mounting = "" if "link" in report.joint.mountings else f" --set mounting={shlex.quote(report.joint.mounting)}"
+    mounting = () if "link" in report.joint.mountings else ("--set", f"mounting={report.joint.mounting}")
+    sets = "--set", f"joint={report.extended.as_posix()}", *mounting, *_gains(report)
     return {
-        "folder": folder,
-        "run": f"flexspline run link_sweep --set joint={joint}{mounting}{_gains(report)}{more}",
-        "estimate": f"flexspline estimate {measured} --joint {joint} --out estimates{more}",
-        "validate": f"flexspline validate NEW_MEASUREMENT --joint {joint} --out check{more}",
+        "folder": "DIR" if report.folder is None else report.folder.as_posix(),
+        "run": command_line("run", "link_sweep", *sets),
+        "estimate": report.estimating,
+        "validate": report.validating,
         "check": checking(report.measurement, report.joint),
         "mend": mending(report.measurement, report.joint),
     }
 
 
-def _gains(report: Report) -> str:
+def _gains(report: Report) -> tuple[str, ...]:
     """Options with the controller's gains for a joint that has none in its file."""
     if report.joint.name == "test-joint" or report.joint.controller is not None:
-        return ""
+        return ()
     kp, kd = drive_gains(report.joint)
-    return f" --set controller.kp={kp:.2g} --set controller.kd={kd:.2g}"
+    return "--set", f"controller.kp={kp:.2g}", "--set", f"controller.kd={kd:.2g}"
 
 
 def _cause(report: Report, c: Finding) -> dict[str, Any]:

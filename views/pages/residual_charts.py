@@ -9,16 +9,7 @@ import numpy as np
 
 from ..numbers import percent
 from ..report import plain
-from ..residuals import (
-    ORDERS,
-    VARIABLES,
-    Overlay,
-    ResidualSeries,
-    explained,
-    means,
-    orders,
-    strongest_variable,
-)  # fmt: skip
+from ..residuals import ORDERS, VARIABLES, Overlay, ResidualSeries, explained, means, orders, strongest_variable
 from .chart import Chart, limits
 
 if TYPE_CHECKING:

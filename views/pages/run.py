@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import shlex
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...estimator.estimator import KnownJoint
-from ...models import plugins
+from ...models.command_lines import command_line
 from ...models.parameters import as_floats
 from ..numbers import number
 from ..report import listed
@@ -158,27 +157,27 @@ def _honest(runs: Mapping[str, Run]) -> dict[str, list[tuple[str, str, float]]]:
 
 
 def _commands(run: Run, folder: Path, chosen: str) -> list[tuple[str, str]]:
-    place, why = shlex.quote(folder.as_posix()), "for this motion"
+    why, scenario = "for this motion", folder / "scenario.yaml"
     if off := misjudged(run.metrics):
         chosen, nis = next(iter(off.items()))  # the farthest off
         why = f"for this joint and motion: its mean NIS is {number(nis, 2)}"
-    scenario, own = f"{place}/scenario.yaml", plugins.options()
+    bound = "compares each estimator with the Cramér-Rao bound, with intervals"
     return [
-        (f"flexspline view {place}{own}", "shows the joint in motion, estimates and innovations"),
-        (f"flexspline bound {scenario} --seeds 10{own}", "compares each estimator with the Cramér-Rao bound, with intervals"),
-        (f"flexspline tune {scenario} --filter {chosen} --out tuned{own}", f"tunes {chosen} {why}"),
-    ]  # fmt: skip
+        (command_line("view", folder), "shows the joint in motion, estimates and innovations"),
+        (command_line("bound", scenario, "--seeds", 10), bound),
+        (command_line("tune", scenario, "--filter", chosen, "--out", "tuned"), f"tunes {chosen} {why}"),
+    ]
 
 
 def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str, str]]:
-    places = [shlex.quote(folder.as_posix()) for _, folder in runs]
-    own = shlex.quote((runs[-1][1] / f"{runs[-1][0].name}.yaml").as_posix())
-    again, more = shlex.quote((arm / "arm.yaml").as_posix()), plugins.options()
+    run, folder = runs[-1]
+    diagnose = command_line("diagnose", folder / f"{run.name}.yaml", "--out", "diagnosis")
+    again = command_line("run", arm / "arm.yaml", "--seed", 2, "--out", "again")
     return [
-        (f"flexspline view {' '.join(places)}", "shows every joint's motion, estimates and innovations"),
-        (f"flexspline run {again} --seed 2 --out again{more}", "runs the same arm with other noise"),
-        (f"flexspline diagnose {own} --out diagnosis{more}", f"diagnoses {runs[-1][1].name} by its sensors in the arm"),
-    ]  # fmt: skip
+        (command_line("view", *(place for _, place in runs)), "shows every joint's motion, estimates and innovations"),
+        (again, "runs the same arm with other noise"),
+        (diagnose, f"diagnoses {folder.name} by its sensors in the arm"),
+    ]
 
 
 def _scenario(name: str, run: Run, kinds: dict[str, str], joint: bool) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...models import plugins
+from ...models.command_lines import command_line
 from ..numbers import number
 from ..sweep_tables import cell, metric_column, panels_of, sign_of, sweep_rows, value_text
 from .chart import Chart, limits
@@ -46,10 +45,9 @@ def sweep_html(
     """
     kinds = line_kinds(study.names)
     metric = study.metrics[0]
-    place = shlex.quote(folder.as_posix())
     titles = {axis.name: axis.title for axis in study.axes}
     listed = isinstance(study.seeds, list)
-    more = "" if listed else f" --seeds {2 * max(s.runs for s in found)}"
+    more = () if listed else ("--seeds", 2 * max(s.runs for s in found))
     context = {
         "study": study,
         "sentence": _verdict(study, found),
@@ -65,10 +63,8 @@ def sweep_html(
         "charts": _charts(study, found, metric, kinds),
         "tables": [_table(study, found, m) for m in study.metrics],
         "axes": [titles.get(name, name) for name in found[0].columns],
-        "commands": [
-            f"flexspline sweep {shlex.quote(source or f'{study.name}.yaml')}{more} --out {place}{plugins.options()}"
-        ],
-        "worst": [f"flexspline run {shlex.quote(path.as_posix())}{plugins.options()}" for path in worst],
+        "commands": [command_line("sweep", source or f"{study.name}.yaml", *more, "--out", folder)],
+        "worst": [command_line("run", path) for path in worst],
         "listed": listed,
         "unknown": not source,
         "folder": str(folder),

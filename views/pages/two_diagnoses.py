@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...models import causes, plugins
+from ...models import causes
 from ...models.calibration import slots
+from ...models.command_lines import command_line
 from ...models.errors import InputError
 from ...models.joint import Joint, load_joint
 from ...models.joint_parts import Number
@@ -127,7 +127,6 @@ def two_html(before: Diagnosed, after: Diagnosed) -> str:
     numbers = [*_numbers(before.joint, after.joint), *_delays(before, after)]
     numbers = sorted(numbers, key=lambda change: -abs(change.deviations))
     moved = [change for change in numbers if change.moved]
-    place = shlex.quote(after.folder.as_posix())
     context = {
         "joint": before.joint.name,
         "sides": (before, after),
@@ -141,8 +140,8 @@ def two_html(before: Diagnosed, after: Diagnosed) -> str:
         "residuals": _both(before.answer["residual"], after.answer["residual"]),
         "errors": _both(before.estimators, after.estimators),
         "commands": [
-            f"flexspline validate NEW_MEASUREMENT --joint {place}/joint.yaml --out check{plugins.options()}",
-            f"flexspline plan {place}",
+            command_line("validate", "NEW_MEASUREMENT", "--joint", after.folder / "joint.yaml", "--out", "check"),
+            command_line("plan", after.folder),
         ],
         "data": [(str(d.folder), file_digest(d.folder / "diagnosis.json")) for d in (before, after)],
     }

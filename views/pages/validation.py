@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...models import plugins
+from ...models.command_lines import command_line
 from ...models.errors import InputError
 from ...models.joint_parts import beyond_sentence
 from ...models.recording import LARGEST
@@ -156,20 +155,17 @@ def _worst(answer: dict[str, Any], channel: str) -> dict[str, Any] | None:
 
 
 def _commands(found: Validated) -> list[tuple[str, str]]:
-    data = shlex.quote(str(found.answer.get("measurement") or "MEASUREMENT"))
-    joint, more = shlex.quote(str(found.answer.get("description") or "JOINT")), plugins.options()
+    data, joint = found.answer.get("measurement") or "MEASUREMENT", found.answer.get("description") or "JOINT"
+
+    def line(command: str, *out: str) -> str:
+        return command_line(command, data, "--joint", joint, *out)
+
     if _severe(found.answer):
-        return [(f"flexspline check {data} --joint {joint}{more}", "names the mistake and its correction")]
-    estimate = (
-        f"flexspline estimate {data} --joint {joint} --out estimates{more}",
-        "estimates the joint torque with this description",
-    )
-    diagnose = (
-        f"flexspline diagnose {data} --joint {joint} --out diagnosis{more}",
-        "finds the cause, and writes a joint that fits",
-    )
+        return [(line("check"), "names the mistake and its correction")]
+    estimate = line("estimate", "--out", "estimates"), "estimates the joint torque with this description"
+    diagnose = line("diagnose", "--out", "diagnosis"), "finds the cause, and writes a joint that fits"
     if not _holds(found.answer):
-        return [diagnose, (f"flexspline plan {data} --joint {joint}{more}", "finds out what to measure next")]
+        return [diagnose, (line("plan"), "finds out what to measure next")]
     return [estimate, diagnose] if _above_noise(found.answer) else [estimate]
 
 
