@@ -89,29 +89,12 @@ def examples_page() -> str:
 
 
 def key_reference(title: str, schema: dict[str, Any]) -> str:
-    """The page of a file's keys: a section for the file and for everything that it is made of, in the order of mention.
-
-    Args:
-      title: of the page.
-      schema: JSON Schema of the file (`models.schema.json_schema`).
-    """
+    """Write the page of a file's keys by its JSON Schema: a section for the file and for each of its parts."""
     known = schema.get("$defs", {})
     parts = [f"# {title}", *_section(schema, known)]
-    for name in _mentioned(schema, known):
-        parts += [f"## {name}", *_section(known[name], known)]
+    for name, part in known.items():
+        parts += [f"## {name}", *_section(part, known)]
     return "\n\n".join(parts) + "\n"
-
-
-def _mentioned(schema: dict[str, Any], known: dict[str, Any]) -> list[str]:
-    """Names of definitions in the order in which they are first mentioned, those inside others after them."""
-    found: list[str] = []
-    waiting: list[Any] = [{key: value for key, value in schema.items() if key != "$defs"}]
-    while waiting:
-        for name in re.findall(r'"#/\$defs/(\w+)"', json.dumps(waiting.pop(0))):
-            if name not in found:
-                found.append(name)
-                waiting.append(known[name])
-    return found
 
 
 def _section(schema: dict[str, Any], known: dict[str, Any]) -> Iterator[str]:
