@@ -51,9 +51,10 @@ def command(
     joint that is known within its tolerances. In a scripted scenario, an adaptive filter may be below the bound; with
     `--walk` it cannot.
     """
+    from ..models.files import write_rows
     from ..scenarios.evaluation.limits import assess, fitted_intensity, matched
     from ..scenarios.filters import estimators
-    from ..views.limit_tables import limits_table, summary_rows, write_limits, write_summary
+    from ..views.limit_tables import SUMMARY, limits_table, summary_rows, write_limits
     from ._runs import PAPER, load_all
 
     chosen = estimators(filter_ or ())
@@ -88,7 +89,7 @@ def command(
             for limits in found:
                 write_limits(limits, folder / limits.scenario / "limits.parquet")
                 save(limits_figure(limits), folder / limits.scenario / "limits.png", 110)
-            write_summary(found, folder / "summary.csv")
+            write_rows(folder / "summary.csv", list(summary_rows(found)), SUMMARY)
         if not as_json:
             terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario")
     return list(summary_rows(found)) if as_json else None
