@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -71,6 +71,12 @@ class Chart:
                 pieces.append(f"L{a:.1f} {b:.1f}" if joined else f"M{a:.1f} {b:.1f}h0")
             joined = drawn
         self.marks.append(Mark("".join(pieces), f"line {kind}"))
+
+    def lines(self, x: np.ndarray, curves: Mapping[str, np.ndarray]) -> Chart:
+        """Draw several lines by their classes of the style sheet, the last on top; return the chart."""
+        for kind, y in curves.items():
+            self.line(x, y, kind)
+        return self
 
     def dots(self, x: np.ndarray, y: np.ndarray, kind: str) -> None:
         """Draw dots at points, shape (k,) each."""

@@ -30,9 +30,7 @@ def response_context(found: Response | None) -> dict[str, Any] | None:
     magnitude = Chart(x, y, "magnitude", "frequency [Hz]", "dB of 1 rad/(s·A)", labels=labels, width=_WIDTH, height=220)
     angle = Chart(x, (-200.0, 200.0), "phase", "frequency [Hz]", "°", labels=labels, width=_WIDTH, height=150)
     coherence = Chart(x, (0.0, 1.05), "coherence", "frequency [Hz]", "1", labels=labels, width=_WIDTH, height=150)
-    for kind in curves:
-        magnitude.line(f, size[kind], kind)
-        angle.line(f, phase[kind], kind)
-    coherence.line(f, found.coherence, "measured broad")
+    for chart, of in ((magnitude, size), (angle, phase), (coherence, {"measured broad": found.coherence})):
+        chart.lines(f, of)
     peaks, dips = found.resonances()
     return {"charts": [[magnitude], [angle, coherence]], "peaks": peaks, "dips": dips}

@@ -16,7 +16,7 @@ from ...models.parameters import as_floats
 from ..numbers import number
 from ..report import listed
 from ..style import FILTERS
-from ..tables import COLUMNS, RAW_MODEL, doubts, marked, misjudged
+from ..tables import COLUMNS, RAW_MODEL, comparison_rows, doubts, marked, misjudged
 from .chart import Chart, limits
 from .rendering import fingerprint, render
 from .response_charts import response_context
@@ -182,11 +182,7 @@ def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str
 
 def _scenario(name: str, run: Run, kinds: dict[str, str], joint: bool) -> dict[str, Any]:
     metrics = run.metrics
-    entries = {RAW_MODEL: metrics["model"]} if metrics.get("model") else {}
-    rows = []
-    for filter_, values in (entries | dict(metrics["filters"])).items():
-        cells = [column.text(values) for column in COLUMNS]
-        rows.append((marked(filter_, metrics), kinds.get(filter_, "measured"), cells))
+    rows = [(marked(n, metrics), kinds.get(n, "measured"), cells) for _, n, *cells in comparison_rows({name: metrics})]
     doubted = {RAW_MODEL, *(marked(n, metrics) for n in metrics["untrusted"])}
     own = [row for row in rows if row[0] not in doubted]
     best = {
@@ -235,15 +231,13 @@ def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:
     error = Chart(x, limits(all_errors, 0.1, 0.1), "estimate − true", "time [s]", "N·m", width=_WIDTH, height=200)
     for name, values in errors.items():
         error.line(time, values, f"{kinds[name]} thin")
-    angle = np.degrees(run.truth("link_position"))
+    angle, current, external = np.degrees(run.truth("link_position")), run.reading("motor_current"), run.external_torque
     position = Chart(x, limits(angle, 0.0), "link angle", ylabel="°", width=_WIDTH, height=150)
     if run.position_command is not None:
         position.line(time, np.degrees(run.position_command), "measured thin")
-    position.line(time, angle, "after")
-    current = run.reading("motor_current")
     drive = Chart(x, limits(current, 0.1), "motor current", "", "A", width=_WIDTH, height=130)
-    drive.line(time, current, "measured thin")
-    external = run.external_torque
     push = Chart(x, limits(external, 0.0, least=0.1), "external torque", "time [s]", "N·m", width=_WIDTH, height=140)
+    position.line(time, angle, "after")
+    drive.line(time, current, "measured thin")
     push.line(time, external, "backward")
     return [[torque, error], [position, drive, push]]

@@ -184,11 +184,13 @@ def charts_of(found: Validated) -> list[Group]:
         y = (-reach, reach) if reach > 0 else (-1.0, 1.0)
         charts = []
         for name, columns in of.items():
-            time, curves = columns["time"], (columns[channel], columns[f"{channel}_simulated"])
+            time, curves = (
+                columns["time"],
+                {"measured broad": columns[channel], "after": columns[f"{channel}_simulated"]},
+            )
             x, unit = (float(time[0]), float(time[-1])), error["unit"]
-            values = Chart(x, limits(np.concatenate(curves), 0.05), name, ylabel=unit, width=_WIDTH, height=190)
-            values.line(time, curves[0], "measured broad")
-            values.line(time, curves[1], "after")
+            y_values = limits(np.concatenate([*curves.values()]), 0.05)
+            values = Chart(x, y_values, name, ylabel=unit, width=_WIDTH, height=190).lines(time, curves)
             below = Chart(x, y, "measured − simulated", "time [s]", unit, width=_WIDTH, height=170)
             below.between(time, -half[name], half[name], "noise")
             below.line(time, left[name], "before thin")
