@@ -14,19 +14,17 @@ from datetime import datetime
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ...models.errors import InputError
 from ...models.files import check_format, read_json
+from ...models.recording import Recording
 from ..glossary import meaning, pieces
 from ..numbers import number, percent
 from ..report import plain
-
-if TYPE_CHECKING:
-    from ...models.recording import Recording
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 _DIGITS = 12  # of a digest

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from ...models.recording import Recording
 from ...sim.shape import shape
 from ..report import Report, markdown, plain
 from ..residuals import Overlay, overlays
 from ..style import SENSOR, TRUTH
 from .recording import TIMELINE, entity, joint_view, layout, recording, send_series, series_view
 from .scene import reach, send_bodies, send_torques, thin_frames
-
-if TYPE_CHECKING:
-    import mujoco
-
-    from ...models.recording import Recording
 
 BEFORE, AFTER = "#E0533D", TRUTH
 """Colours of the simulation and of the extended joint's, as on the page."""
