@@ -5,18 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ..models.output import check_output, made_from, output_folder
 from ._measurement import load_measurement
-from ._options import AsJson, OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, OtherJoint, ResultFolder, argument, with_plugins
 
 EXAMPLES = ("flexspline bode measurement --out bode", "flexspline bode my_chirp.yaml --out bode")
 
 
 @with_plugins
 def command(
-    source: Annotated[str, typer.Argument(help="a measurement, or a scenario (name or YAML file) to run")],
+    source: Annotated[str, argument("a measurement, or a scenario (name or YAML file) to run")],
     out: ResultFolder,
     joint: OtherJoint = None,
     as_json: AsJson = False,

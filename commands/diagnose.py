@@ -7,14 +7,12 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ..models.errors import InputError
 from ..models.memory import give_back_free_pages, give_back_large_arrays
 from ..models.output import check_output, output_folder
 from ._console import console, stages
 from ._measurement import load_measurement
-from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, option, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,12 +33,12 @@ def command(
     out: ResultFolder,
     joint: OtherJoint = None,
     exact: Annotated[
-        bool, typer.Option("--exact", help="take the joint's numbers as exactly known: any difference is a cause")
+        bool, option("take the joint's numbers as exactly known: any difference is a cause", "--exact")
     ] = False,
     seconds: Annotated[
-        float | None, typer.Option("--time", min=0.0, metavar="SECONDS", help="answer with what is known by then")
+        float | None, option("answer with what is known by then", "--time", min=0.0, metavar="SECONDS")
     ] = None,
-    report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
+    report: Annotated[bool, option("write report.html and report.rrd")] = True,
     as_json: AsJson = False,
 ) -> Any:
     """Diagnose why a measurement differs from a joint's description: causes, how grave they are, and what to do.

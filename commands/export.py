@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ..models.errors import InputError, read_text
 from ..models.output import check_output, made_from, output_folder
 from ._console import console
 from ._measurement import load_measurement, read_measurement_files
-from ._options import AsJson, with_plugins
+from ._options import AsJson, argument, option, with_plugins
 
 if TYPE_CHECKING:
     from ..models.joint import Joint
@@ -25,21 +23,17 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    source: Annotated[
-        str, typer.Argument(help="a measurement; with `--to` a joint, its file, or the folder of a diagnosis")
-    ],
-    out: Annotated[Path, typer.Option(help="folder of the recordings; with `--to` the file to write")],
-    to: Annotated[str | None, typer.Option(help="simulator: mjcf, urdf, mjlab or isaac")] = None,
+    source: Annotated[str, argument("a measurement; with `--to` a joint, its file, or the folder of a diagnosis")],
+    out: Annotated[Path, option("folder of the recordings; with `--to` the file to write")],
+    to: Annotated[str | None, option("simulator: mjcf, urdf, mjlab or isaac")] = None,
     measurement: Annotated[
-        Path | None, typer.Option(help="measurement with the motion to fit; by default a standard motion is simulated")
+        Path | None, option("measurement with the motion to fit; by default a standard motion is simulated")
     ] = None,
-    into: Annotated[Path | None, typer.Option(help="your MJCF or URDF: change one joint's numbers in a copy")] = None,
-    hinge: Annotated[
-        str | None, typer.Option(help="name of the joint in the simulator; by default the joint's name")
-    ] = None,
-    rigid: Annotated[bool, typer.Option("--rigid", help="one hinge instead of rotor, spring and link (mjcf)")] = False,
-    draws: Annotated[int, typer.Option(min=0, help="joints drawn from the uncertainty, written to OUT.draws.json")] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 1,
+    into: Annotated[Path | None, option("your MJCF or URDF: change one joint's numbers in a copy")] = None,
+    hinge: Annotated[str | None, option("name of the joint in the simulator; by default the joint's name")] = None,
+    rigid: Annotated[bool, option("one hinge instead of rotor, spring and link (mjcf)", "--rigid")] = False,
+    draws: Annotated[int, option("joints drawn from the uncertainty, written to OUT.draws.json", min=0)] = 0,
+    seed: Annotated[int, option("of the draws", min=0)] = 1,
     as_json: AsJson = False,
 ) -> Any:
     """Write recordings as MCAP, or a joint for another simulator, with the error of its simpler structure.
