@@ -43,10 +43,9 @@ def command(
         from ..scenarios.run import run_scenario
         from ..scenarios.scenario import load_scenario
 
-        scenario, folder = load_scenario(source)
-        run = run_scenario(scenario, folder)
+        run = run_scenario(*load_scenario(source))
         data = Measurement(run.name, path, (run.as_recording(),))
-        described = load_joint(joint) if joint is not None else scenario.load_joint(folder)[1]
+        described = load_joint(joint) if joint is not None else run.known_joint
     found = response(data, described)
     columns = {
         "frequency [Hz]": found.frequency,

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from ..models.errors import InputError, read_text
 from ..models.output import check_output, made_from, output_folder
 from ._console import console
 from ._measurement import load_measurement, read_measurement_files
 from ._options import AsJson, argument, option, with_plugins
-
-if TYPE_CHECKING:
-    from ..models.joint import Joint
 
 EXAMPLES = (
     "flexspline export measurement --out mcap",
@@ -60,7 +57,8 @@ def command(
     if out.is_dir():
         raise InputError(f"{out}: expected a file to write to, got a folder")
     path = Path(source)
-    joint: Joint = load_joint(path / "joint.yaml" if path.is_dir() else source)
+    described = str(path / "joint.yaml") if path.is_dir() else source
+    joint = load_joint(described)
     name, inside, text = hinge or joint.name, (False, True), ""
     if into is not None:
         if out.exists() and out.samefile(into):
@@ -76,10 +74,7 @@ def command(
 
         data, motion = standard_motion(joint), "a simulated standard motion"
     else:
-        data, motion = (
-            load_measurement(measurement, str(path / "joint.yaml") if path.is_dir() else source)[0],
-            f"{measurement}",
-        )
+        data, motion = load_measurement(measurement, described)[0], str(measurement)
 
     from ..diagnosis.collapse import collapse
     from ..sim.plant import link_mass

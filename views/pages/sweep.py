@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from ...scenarios.studies.statistics import Aggregate
     from ...scenarios.studies.study import Study
 
+Values = Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]]
+"""Scenario → filter → a metric of all runs, ascending, and their seeds, shape (n,) each."""
 _SHOWN = 12  # charts at most
 _WORST = 3  # seeds
 
@@ -33,7 +35,7 @@ def sweep_html(
     folder: Path,
     source: str = "",
     worst: Sequence[Path] = (),
-    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]] = MappingProxyType({}),
+    values: Values = MappingProxyType({}),
 ) -> str:
     """Return the page as text, one file without references to others.
 
@@ -41,7 +43,7 @@ def sweep_html(
       versions, digest: of the packages, and of the study.
       source: name or path of the study for `flexspline sweep`; empty if unknown.
       worst: files of the run with the largest first metric of each scenario.
-      values: scenario → filter → first metric of all runs, ascending, and their seeds, shape (n,) each.
+      values: of the first metric.
     """
     kinds = line_kinds(study.names)
     metric = study.metrics[0]
@@ -115,9 +117,7 @@ def _table(study: Study, found: Sequence[Aggregate], metric: str) -> dict[str, A
     return {"title": column.title, "meaning": column.meaning, "rows": rows}
 
 
-def _spread(
-    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], metric: str, kinds: dict[str, str]
-) -> list[list[Chart]]:
+def _spread(values: Values, metric: str, kinds: dict[str, str]) -> list[list[Chart]]:
     """Charts of the distribution of a metric over seeds and settings: the share of the runs with at most this value."""
     column, charts = metric_column(metric), []
     for scenario, of in values.items():
@@ -132,9 +132,7 @@ def _spread(
     return charts[:_SHOWN]
 
 
-def _largest(
-    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], metric: str
-) -> list[tuple[str, str, list[str]]]:
+def _largest(values: Values, metric: str) -> list[tuple[str, str, list[str]]]:
     """Scenario, filter, and median, 95 % quantile, maximum and the seeds with the largest values of a metric."""
     column = metric_column(metric)
     return [
