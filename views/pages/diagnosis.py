@@ -31,8 +31,8 @@ from ..report import (
 )  # fmt: skip
 from ..residuals import balances, overlays
 from . import residual_charts
+from .chart import response_context
 from .rendering import fingerprint, render
-from .response_charts import response_context
 
 if TYPE_CHECKING:
     from ...diagnosis.answer import Diagnosis, Finding

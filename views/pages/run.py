@@ -17,15 +17,13 @@ from ..numbers import number
 from ..report import listed
 from ..style import FILTERS
 from ..tables import COLUMNS, RAW_MODEL, comparison_rows, doubts, marked, misjudged
-from .chart import Chart, limits
+from .chart import WIDTH, Chart, limits, response_context
 from .rendering import fingerprint, render
-from .response_charts import response_context
 
 if TYPE_CHECKING:
     from ...diagnosis.bode import Response
     from ...scenarios.run import Run
 
-_WIDTH = 540
 _NEAR = 1.25  # errors within this ratio are equal, as the noise of a run is drawn once
 
 
@@ -221,22 +219,22 @@ def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:
     time, truth = run.time, run.truth("joint_torque")
     settled = time >= run.scenario.transient
     x = (float(time[0]), float(time[-1]))
-    torque = Chart(x, limits(truth, 0.0), "joint torque", ylabel="N·m", width=_WIDTH, height=220)
+    torque = Chart(x, limits(truth, 0.0), "joint torque", ylabel="N·m", width=WIDTH, height=220)
     torque.line(time, run.reading("joint_torque"), "measured thin")
     for name in run.estimates:
         torque.line(time, run.estimate(name), kinds[name])
     torque.line(time, truth, "after")
     errors = {name: run.estimate(name) - truth for name in run.estimates}
     all_errors = np.concatenate([e[settled] for e in errors.values()]) if errors else truth * 0
-    error = Chart(x, limits(all_errors, 0.1, 0.1), "estimate − true", "time [s]", "N·m", width=_WIDTH, height=200)
+    error = Chart(x, limits(all_errors, 0.1, 0.1), "estimate − true", "time [s]", "N·m", width=WIDTH, height=200)
     for name, values in errors.items():
         error.line(time, values, f"{kinds[name]} thin")
     angle, current, external = np.degrees(run.truth("link_position")), run.reading("motor_current"), run.external_torque
-    position = Chart(x, limits(angle, 0.0), "link angle", ylabel="°", width=_WIDTH, height=150)
+    position = Chart(x, limits(angle, 0.0), "link angle", ylabel="°", width=WIDTH, height=150)
     if run.position_command is not None:
         position.line(time, np.degrees(run.position_command), "measured thin")
-    drive = Chart(x, limits(current, 0.1), "motor current", "", "A", width=_WIDTH, height=130)
-    push = Chart(x, limits(external, 0.0, least=0.1), "external torque", "time [s]", "N·m", width=_WIDTH, height=140)
+    drive = Chart(x, limits(current, 0.1), "motor current", "", "A", width=WIDTH, height=130)
+    push = Chart(x, limits(external, 0.0, least=0.1), "external torque", "time [s]", "N·m", width=WIDTH, height=140)
     position.line(time, angle, "after")
     drive.line(time, current, "measured thin")
     push.line(time, external, "backward")

@@ -13,7 +13,7 @@ import numpy as np
 from ...models.command_lines import command_line
 from ..numbers import number
 from ..sweep_tables import cell, metric_column, panels_of, sign_of, sweep_rows, value_text
-from .chart import Chart, limits
+from .chart import WIDTH, Chart, limits
 from .rendering import render
 from .run import line_kinds
 
@@ -121,10 +121,8 @@ def _spread(values: Values, metric: str, kinds: dict[str, str]) -> list[list[Cha
     """Charts of the distribution of a metric over seeds and settings: the share of the runs with at most this value."""
     column, charts = metric_column(metric), []
     for scenario, of in values.items():
-        every = column.scale * np.concatenate([v for v, _ in of.values()])
-        chart = Chart(
-            limits(np.append(every, 0.0), 0.0), (0.0, 105.0), scenario, column.title, "runs [%]", width=540, height=260
-        )
+        x = limits(np.append(column.scale * np.concatenate([v for v, _ in of.values()]), 0.0), 0.0)
+        chart = Chart(x, (0.0, 105.0), scenario, column.title, "runs [%]", width=WIDTH, height=260)
         for name, (found, _) in of.items():
             share = 100 * np.arange(len(found) + 1) / max(len(found), 1)
             chart.line(np.repeat(column.scale * found, 2), np.repeat(share, 2)[1:-1], kinds[name])
@@ -156,11 +154,10 @@ def _charts(study: Study, found: Sequence[Aggregate], metric: str, kinds: dict[s
             if not panel.lines:
                 continue
             ends = np.concatenate([(mean - half, mean + half) for _, mean, half in panel.lines.values()], axis=None)
+            x_limits, y_limits = (-0.5, len(places) - 0.5), limits(np.append(ends, 0.0), 0.0)
             title = ", ".join([scenario, *(f"{titles.get(a, a)} {value_text(v)}" for a, v in panel.at.items())])
-            chart = Chart(
-                (-0.5, len(places) - 0.5), limits(np.append(ends, 0.0), 0.0), title, titles.get(across, ""), column.title,
-                labels=labels, width=540, height=260,
-            )  # fmt: skip
+            of = titles.get(across, ""), column.title
+            chart = Chart(x_limits, y_limits, title, *of, labels=labels, width=WIDTH, height=260)
             for name, (x, mean, half) in panel.lines.items():
                 chart.line(x, mean, kinds[name])
                 chart.dots(x, mean, f"{kinds[name]} small")

@@ -16,14 +16,13 @@ from ...models.recording import LARGEST
 from ...models.tables import read_table
 from ..numbers import number, percent
 from ..report import listed, plain
-from .chart import Chart, limits
+from .chart import WIDTH, Chart, limits
 from .rendering import file_digest, output_of, render
 from .residual_charts import Group
 
 HELD = 0.9  # A description holds for a channel if this share of the samples in motion is inside the 95 % band
 _CLEARLY = 2.0
 """An error of more than so many times the sensors' noise has a cause that could be found, also inside the band."""
-_WIDTH = 540
 _WORSE = 1.3  # A region with more than so many times the error of all motion is reported as the worst
 
 
@@ -190,8 +189,8 @@ def charts_of(found: Validated) -> list[Group]:
             )
             x, unit = (float(time[0]), float(time[-1])), error["unit"]
             y_values = limits(np.concatenate([*curves.values()]), 0.05)
-            values = Chart(x, y_values, name, ylabel=unit, width=_WIDTH, height=190).lines(time, curves)
-            below = Chart(x, y, "measured − simulated", "time [s]", unit, width=_WIDTH, height=170)
+            values = Chart(x, y_values, name, ylabel=unit, width=WIDTH, height=190).lines(time, curves)
+            below = Chart(x, y, "measured − simulated", "time [s]", unit, width=WIDTH, height=170)
             below.between(time, -half[name], half[name], "noise")
             below.line(time, left[name], "before thin")
             charts.append([values, below])
