@@ -377,7 +377,7 @@ def _save(fig: Figure, path: Path) -> None:
 
 def main(words: Sequence[str] = ()) -> None:
     """Print the table, draw the figures, write the extended joint if asked."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks lara8", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks lara8", description=__doc__.partition("\n\n")[0])
     parser.add_argument("log", type=Path, help="joint3_outbound.csv")
     parser.add_argument("--write", action="store_true", help="models/lara8_joint3_extended.yaml, too")
     asked = parser.parse_args(words)

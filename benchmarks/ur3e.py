@@ -174,7 +174,7 @@ def velocity_against_angle(path: Path) -> list[tuple[float, float, float, float,
 
 def main(words: Sequence[str] = ()) -> None:
     """Print what the velocity is to the angle, then the table, and draw the figure."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ur3e", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ur3e", description=__doc__.partition("\n\n")[0])
     parser.add_argument("log", type=Path, help="shoulder_first_half.csv")
     path = parser.parse_args(words).log
     for f, ratio, lead, with_angle, with_current in velocity_against_angle(path):
