@@ -18,7 +18,7 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TextIO
@@ -103,10 +103,12 @@ def versions() -> str:
     return "\n".join(lines)
 
 
-def examples(name: str, folder: str = "") -> tuple[str, ...]:
-    """Return command lines that show how a command is used."""
-    found = _module(name, folder).EXAMPLES
-    return found[name] if isinstance(found, dict) else found
+def find(name: str, folder: str = "") -> tuple[Callable[..., Any], tuple[str, ...]]:
+    """Return a command's function, and command lines that show how it is used."""
+    loaded = _module(name, folder)
+    if hasattr(loaded, "command"):
+        return loaded.command, loaded.EXAMPLES
+    return getattr(loaded, name), loaded.EXAMPLES[name]
 
 
 def _module(name: str, folder: str) -> Any:
@@ -120,7 +122,7 @@ def _load(name: str, folder: str = "") -> Any:
         group = type("_Group", (_Commands,), {"folder": name})
         single.callback(cls=group, help=loaded.__doc__, no_args_is_help=True)(lambda: None)
     else:
-        run = loaded.command if hasattr(loaded, "command") else getattr(loaded, name)
+        run, examples = find(name, folder)
 
         @functools.wraps(run)
         def command(**options: Any) -> None:
@@ -131,7 +133,7 @@ def _load(name: str, folder: str = "") -> Any:
 
                 print(json_text(answer))
 
-        epilog = "\n\n".join(("**Examples**", *(f"    {line}" for line in examples(name, folder))))
+        epilog = "\n\n".join(("**Examples**", *(f"    {line}" for line in examples)))
         context = _STYLE["context_settings"]
         single.command(name, help=inspect.getdoc(run), epilog=epilog, context_settings=context)(command)
     built: Any = typer.main.get_command(single)

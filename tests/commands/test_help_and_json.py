@@ -21,7 +21,7 @@ def test_every_command_has_examples_in_its_help(flexspline, folder, name):
     code, out, err = flexspline(*words, "-h")
     assert code == 0 and not err
     text = " ".join(out.split())
-    for example in commands.examples(name, folder):
+    for example in commands.find(name, folder)[1]:
         assert example.startswith(f"flexspline {' '.join(words)}")
         assert example in text
 
