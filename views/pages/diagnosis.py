@@ -7,14 +7,15 @@ held-out data, what the measurement does not show, and how the numbers were obta
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...models import causes
+from ...models import causes, plugins
 from ...models.characteristics import drive_gains
-from ...models.command_lines import checking, command_line, mending
+from ...models.command_lines import checking, mending
 from ..advice import advice, parameter_text
 from ..glossary import meaning, pieces
 from ..numbers import number, percent, with_std
@@ -118,11 +119,11 @@ def html(report: Report) -> str:
 
 
 def _commands(report: Report) -> dict[str, str]:
-    mounting = () if "link" in report.joint.mountings else ("--set", f"mounting={report.joint.mounting}")
-    sets = "--set", f"joint={report.extended.as_posix()}", *mounting, *_gains(report)
+    mounting = "" if "link" in report.joint.mountings else f" --set mounting={shlex.quote(report.joint.mounting)}"
+    sets = f"--set joint={report.extended}{mounting}{_gains(report)}"
     return {
         "folder": "DIR" if report.folder is None else report.folder.as_posix(),
-        "run": command_line("run", "link_sweep", *sets),
+        "run": f"flexspline run link_sweep {sets}{plugins.options()}",
         "estimate": report.estimating,
         "validate": report.validating,
         "check": checking(report.measurement, report.joint),
@@ -130,12 +131,12 @@ def _commands(report: Report) -> dict[str, str]:
     }
 
 
-def _gains(report: Report) -> tuple[str, ...]:
+def _gains(report: Report) -> str:
     """Options with the controller's gains for a joint that has none in its file."""
     if report.joint.name == "test-joint" or report.joint.controller is not None:
-        return ()
+        return ""
     kp, kd = drive_gains(report.joint)
-    return "--set", f"controller.kp={kp:.2g}", "--set", f"controller.kd={kd:.2g}"
+    return f" --set controller.kp={kp:.2g} --set controller.kd={kd:.2g}"
 
 
 def _cause(report: Report, c: Finding) -> dict[str, Any]:
