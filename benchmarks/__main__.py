@@ -33,6 +33,9 @@ NAMED_ONLY = (
     "real_logs",
     "accuracy",
     "reliability",
+    "lara8",
+    "ur3e",
+    "link_flexibility",
 )
 
 

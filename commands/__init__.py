@@ -1,4 +1,5 @@
-"""The command line. A file here with a function `command` is the command of that name; a folder is a group of commands.
+"""The command line. A file here with a function `command` is the command of that name; a folder is a group of commands;
+`lists` has the commands without a file of their own.
 
 A command's file imports what it needs when it is called: `--help` loads all of these files. With `--json`, `command` returns
 what is printed as JSON.
@@ -17,7 +18,7 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TextIO
@@ -51,8 +52,7 @@ def _files(folder: str = "") -> dict[str, str]:
     """Module of every command in a folder, by the command's name, in the order of the help."""
     found = sorted(m.name for m in pkgutil.iter_modules([str(Path(__file__).parent / folder)]) if m.name[0] != "_")
     names = {module.rstrip("_").replace("_", "-"): module for module in found}
-    order = [name for group in GROUPS.values() for name in group]
-    return names if folder else {name: names[name] for name in sorted(names, key=order.index)}
+    return names if folder else {name: names.get(name, "lists") for group in GROUPS.values() for name in group}
 
 
 class _Commands(TyperGroup):
@@ -103,28 +103,41 @@ def versions() -> str:
     return "\n".join(lines)
 
 
+def find(name: str, folder: str = "") -> tuple[Callable[..., Any], tuple[str, ...]]:
+    """Return a command's function, and command lines that show how it is used."""
+    loaded = _module(name, folder)
+    if hasattr(loaded, "command"):
+        return loaded.command, loaded.EXAMPLES
+    return getattr(loaded, name), loaded.EXAMPLES[name]
+
+
+def _module(name: str, folder: str) -> Any:
+    return importlib.import_module(".".join(part for part in (__name__, folder, _files(folder)[name]) if part))
+
+
 def _load(name: str, folder: str = "") -> Any:
-    loaded = importlib.import_module(".".join(part for part in (__name__, folder, _files(folder)[name]) if part))
+    loaded = _module(name, folder)
     single = typer.Typer(add_completion=False, **_STYLE)
     if hasattr(loaded, "__path__"):
         group = type("_Group", (_Commands,), {"folder": name})
         single.callback(cls=group, help=loaded.__doc__, no_args_is_help=True)(lambda: None)
     else:
+        run, examples = find(name, folder)
 
-        @functools.wraps(loaded.command)
+        @functools.wraps(run)
         def command(**options: Any) -> None:
             _check_address_space()
-            answer = loaded.command(**{key: _usable(value, key) for key, value in options.items()})
+            answer = run(**{key: _usable(value, key) for key, value in options.items()})
             if answer is not None:
                 from ..models.files import json_text
 
                 print(json_text(answer))
 
-        examples = "\n\n".join(("**Examples**", *(f"    {line}" for line in loaded.EXAMPLES)))
+        epilog = "\n\n".join(("**Examples**", *(f"    {line}" for line in examples)))
         context = _STYLE["context_settings"]
-        single.command(name, help=inspect.getdoc(loaded.command), epilog=examples, context_settings=context)(command)
+        single.command(name, help=inspect.getdoc(run), epilog=epilog, context_settings=context)(command)
     built: Any = typer.main.get_command(single)
-    built.name = name
+    built.name, built.short_help = name, built.help.partition("\n\n")[0]
     built.rich_help_panel = next((title for title, names in GROUPS.items() if not folder and name in names), None)
     return built
 

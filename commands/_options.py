@@ -18,6 +18,16 @@ _SET_HELP = (
 )
 
 
+def option(help: str, *names: str, **more: Any) -> Any:
+    """Return what Typer needs of an option: its help, its names if not the parameter's, and more as of `typer.Option`."""
+    return typer.Option(*names, help=help, **more)
+
+
+def argument(help: str, **more: Any) -> Any:
+    """Return what Typer needs of an argument."""
+    return typer.Argument(help=help, **more)
+
+
 def shipped(room: str) -> Callable[[str], list[str]]:
     """Return a function that completes names of the YAML files in a folder of the package."""
 
@@ -28,45 +38,35 @@ def shipped(room: str) -> Callable[[str], list[str]]:
     return names
 
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-MeasurementPath = Annotated[Path, typer.Argument(help="a recording, or a folder of several of the same joint")]
-ResultFolder = Annotated[Path, typer.Option(help="folder to write to")]
-OtherJoint = Annotated[str | None, typer.Option(help="name or path of a joint; by default the recordings' joint")]
+AsJson = Annotated[bool, option("Print JSON instead of a table.", "--json")]
+MeasurementPath = Annotated[Path, argument("a recording, or a folder of several of the same joint")]
+ResultFolder = Annotated[Path, option("folder to write to")]
+OtherJoint = Annotated[str | None, option("name or path of a joint; by default the recordings' joint")]
 Scenarios = Annotated[
-    list[str],
-    typer.Argument(help="Names of shipped scenarios, or paths of YAML files.", autocompletion=shipped("scenarios")),
+    list[str], argument("Names of shipped scenarios, or paths of YAML files.", autocompletion=shipped("scenarios"))
 ]
 SomeScenarios = Annotated[
     list[str] | None,
-    typer.Argument(
-        help="Names or paths; the paper's three experiments by default.", autocompletion=shipped("scenarios")
-    ),
+    argument("Names or paths; the paper's three experiments by default.", autocompletion=shipped("scenarios")),
 ]
-Out = Annotated[Path, typer.Option("--out", help="Folder to write to; one folder per scenario inside.")]
-Seed = Annotated[
-    int | None, typer.Option("--seed", min=0, help="Seed of every random stream, instead of the scenario's.")
-]
-Estimators = Annotated[
-    list[str] | None, typer.Option("--filter", help="An estimator by its name; repeatable. All by default.")
-]
+Out = Annotated[Path, option("Folder to write to; one folder per scenario inside.")]
+Seed = Annotated[int | None, option("Seed of every random stream, instead of the scenario's.", min=0)]
+Estimators = Annotated[list[str] | None, option("An estimator by its name; repeatable. All by default.", "--filter")]
 Vary = Annotated[
     bool,
-    typer.Option(
-        help="Draw start, pace and pushes per seed. Without it, all seeds have the same motion, and intervals over them are "
+    option(
+        "Draw start, pace and pushes per seed. Without it, all seeds have the same motion, and intervals over them are "
         "wrong."
     ),
 ]
 Jobs = Annotated[
-    int | None,
-    typer.Option("--jobs", min=1, help="How many at a time; all cores by default. The result does not depend on it."),
+    int | None, option("How many at a time; all cores by default. The result does not depend on it.", min=1)
 ]
-Changes = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=_SET_HELP)]
+Changes = Annotated[list[str] | None, option(_SET_HELP, "--set", metavar="KEY=VALUE")]
 Plugins = Annotated[
     list[Path] | None,
-    typer.Option(
-        "--plugin",
-        metavar="FILE.py",
-        help="A file with your own estimators or causes; repeatable. See docs/plugins.md.",
+    option(
+        "A file with your own estimators or causes; repeatable. See docs/plugins.md.", "--plugin", metavar="FILE.py"
     ),
 ]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import shlex
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -121,7 +120,7 @@ def metrics_of(runs: list[tuple[Run, Path]]) -> dict[str, Any]:
 
 def print_notes(terminal: Console, runs: list[tuple[Run, Path]]) -> None:
     """Print notes on the metrics; and how to tune filters whose variance is wrong for this joint."""
-    from ..models import plugins
+    from ..models.command_lines import command_line
     from ..views.tables import misjudged
 
     for run, folder in runs:
@@ -130,8 +129,5 @@ def print_notes(terminal: Console, runs: list[tuple[Run, Path]]) -> None:
         off = misjudged(run.metrics)
         if off and run.joint.name != _TUNED_FOR:
             listed = ", ".join(f"{name} {nis:.2g}" for name, nis in off.items())
-            place = shlex.quote((folder / "scenario.yaml").as_posix())
-            terminal.print(
-                f"{run.name}: mean NIS is not about 1: {listed}. Tune for this joint: "
-                f"flexspline tune {place} --filter {next(iter(off))} --out tuned{plugins.options()}"
-            )
+            tune = command_line("tune", folder / "scenario.yaml", "--filter", next(iter(off)), "--out", "tuned")
+            terminal.print(f"{run.name}: mean NIS is not about 1: {listed}. Tune for this joint: {tune}")

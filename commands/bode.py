@@ -5,18 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ..models.output import check_output, made_from, output_folder
 from ._measurement import load_measurement
-from ._options import AsJson, OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, OtherJoint, ResultFolder, argument, with_plugins
 
 EXAMPLES = ("flexspline bode measurement --out bode", "flexspline bode my_chirp.yaml --out bode")
 
 
 @with_plugins
 def command(
-    source: Annotated[str, typer.Argument(help="a measurement, or a scenario (name or YAML file) to run")],
+    source: Annotated[str, argument("a measurement, or a scenario (name or YAML file) to run")],
     out: ResultFolder,
     joint: OtherJoint = None,
     as_json: AsJson = False,
@@ -45,10 +43,9 @@ def command(
         from ..scenarios.run import run_scenario
         from ..scenarios.scenario import load_scenario
 
-        scenario, folder = load_scenario(source)
-        run = run_scenario(scenario, folder)
+        run = run_scenario(*load_scenario(source))
         data = Measurement(run.name, path, (run.as_recording(),))
-        described = load_joint(joint) if joint is not None else scenario.load_joint(folder)[1]
+        described = load_joint(joint) if joint is not None else run.known_joint
     found = response(data, described)
     columns = {
         "frequency [Hz]": found.frequency,

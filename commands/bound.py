@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ._console import console, progress
-from ._options import AsJson, Changes, Estimators, SomeScenarios, Vary, with_plugins
+from ._options import AsJson, Changes, Estimators, SomeScenarios, Vary, option, with_plugins
 
 EXAMPLES = (
     "flexspline bound link_sweep --seeds 5",
@@ -21,27 +19,24 @@ EXAMPLES = (
 @with_plugins
 def command(
     scenarios: SomeScenarios = None,
-    seeds: Annotated[int, typer.Option(min=1, help="How many seeds: 1, 2, …")] = 10,
+    seeds: Annotated[int, option("How many seeds: 1, 2, …", min=1)] = 10,
     filter_: Estimators = None,
     intensity: Annotated[
         float | None,
-        typer.Option(
-            min=0,
-            help="Of the external torque's random walk in the bound, N·m/√s; by default fitted to the scenario's external "
+        option(
+            "Of the external torque's random walk in the bound, N·m/√s; by default fitted to the scenario's external "
             "torque up to 20 Hz.",
+            min=0,
         ),
     ] = None,
     tolerance: Annotated[
-        float,
-        typer.Option(min=0, help="Share of the joint's tolerances that are the prior of the second bound; 0 omits it."),
+        float, option("Share of the joint's tolerances that are the prior of the second bound; 0 omits it.", min=0)
     ] = 1.0,
     walk: Annotated[
-        bool, typer.Option(help="Replace the disturbances by draws of that random walk, which is the bound's model.")
+        bool, option("Replace the disturbances by draws of that random walk, which is the bound's model.")
     ] = False,
     vary: Vary = True,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for limits.parquet, summary.csv and a figure per scenario.")
-    ] = None,
+    out: Annotated[Path | None, option("Folder for limits.parquet, summary.csv and a figure per scenario.")] = None,
     changes: Changes = None,
     as_json: AsJson = False,
 ) -> Any:
@@ -51,9 +46,10 @@ def command(
     joint that is known within its tolerances. In a scripted scenario, an adaptive filter may be below the bound; with
     `--walk` it cannot.
     """
+    from ..models.files import write_rows
     from ..scenarios.evaluation.limits import assess, fitted_intensity, matched
     from ..scenarios.filters import estimators
-    from ..views.limit_tables import limits_table, summary_rows, write_limits, write_summary
+    from ..views.limit_tables import SUMMARY, limits_table, summary_rows, write_limits
     from ._runs import PAPER, load_all
 
     chosen = estimators(filter_ or ())
@@ -88,7 +84,7 @@ def command(
             for limits in found:
                 write_limits(limits, folder / limits.scenario / "limits.parquet")
                 save(limits_figure(limits), folder / limits.scenario / "limits.png", 110)
-            write_summary(found, folder / "summary.csv")
+            write_rows(folder / "summary.csv", list(summary_rows(found)), SUMMARY)
         if not as_json:
             terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario")
     return list(summary_rows(found)) if as_json else None

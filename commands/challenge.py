@@ -9,13 +9,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ..models.processes import single_threaded
 from ._console import console, print_table, progress
-from ._options import AsJson, Jobs, with_plugins
+from ._options import AsJson, Jobs, option, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,10 +26,7 @@ if TYPE_CHECKING:
 class Hidden(StrEnum):
     """What may be hidden."""
 
-    none = "none"
-    one = "one"
-    two = "two"
-    outside = "outside"
+    none, one, two, outside = "none", "one", "two", "outside"
 
 
 _KINDS: dict[Kind, str] = {
@@ -40,7 +35,6 @@ _KINDS: dict[Kind, str] = {
     "two": "two effects",
     "outside": "an effect outside the library",
 }
-
 _LARGEST_SIZE = 100.0
 EXAMPLES = (
     "flexspline challenge --draws 5 --hidden one --out outcomes.json",
@@ -52,44 +46,36 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    draws: Annotated[int, typer.Option(min=1, max=100_000, help="number of draws of each kind (at each size)")] = 24,
+    draws: Annotated[int, option("number of draws of each kind (at each size)", min=1, max=100_000)] = 24,
     hidden: Annotated[
         list[Hidden] | None,
-        typer.Option(
-            help="what is hidden: nothing, one effect, two, one outside the library. Repeatable; all by default."
-        ),
+        option("what is hidden: nothing, one effect, two, one outside the library. Repeatable; all by default."),
     ] = None,
     real: Annotated[
-        bool, typer.Option("--real", help="add the small imperfections that every real joint has to every recording")
+        bool, option("add the small imperfections that every real joint has to every recording", "--real")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="of every random stream")] = 1,
-    joint: Annotated[str, typer.Option(help="name or path of the nominal joint")] = "test-joint",
+    seed: Annotated[int, option("of every random stream", min=0)] = 1,
+    joint: Annotated[str, option("name or path of the nominal joint")] = "test-joint",
     scenario: Annotated[
-        list[str] | None,
-        typer.Option(help="scenario to measure instead of drawn motions (free, push, sweep: 85 s). Repeatable."),
+        list[str] | None, option("scenario to measure instead of drawn motions (free, push, sweep: 85 s). Repeatable.")
     ] = None,
-    size: Annotated[float, typer.Option(min=0.0, max=_LARGEST_SIZE, help="of the effects, in ordinary sizes")] = 1.0,
-    sizes: Annotated[str, typer.Option(help="sizes to scan, e.g. `1,0.3,0.1`, instead of --size")] = "",
-    cause: Annotated[list[str] | None, typer.Option(help="draw only from these causes. Repeatable.")] = None,
+    size: Annotated[float, option("of the effects, in ordinary sizes", min=0.0, max=_LARGEST_SIZE)] = 1.0,
+    sizes: Annotated[str, option("sizes to scan, e.g. `1,0.3,0.1`, instead of --size")] = "",
+    cause: Annotated[list[str] | None, option("draw only from these causes. Repeatable.")] = None,
     exact: Annotated[
-        bool, typer.Option("--exact", help="the joint has exactly its nominal numbers, and the diagnosis knows it")
+        bool, option("the joint has exactly its nominal numbers, and the diagnosis knows it", "--exact")
     ] = False,
-    no_sensor: Annotated[
-        bool, typer.Option("--no-sensor", help="no joint torque; irregular 250 Hz with samples missing")
-    ] = False,
+    no_sensor: Annotated[bool, option("no joint torque; irregular 250 Hz with samples missing", "--no-sensor")] = False,
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="CHANNEL", help="not recorded; causes that cannot show then are not drawn. Repeatable."),
+        option("not recorded; causes that cannot show then are not drawn. Repeatable.", metavar="CHANNEL"),
     ] = None,
     jobs: Jobs = None,
-    out: Annotated[
-        Path | None, typer.Option(help="write every draw and all tables to this file, .json or .parquet")
-    ] = None,
+    out: Annotated[Path | None, option("write every draw and all tables to this file, .json or .parquet")] = None,
     measurement: Annotated[
         Path | None,
-        typer.Option(
-            "--measurement",
-            help="write the first draw's recordings to this folder, its hidden effects to hidden.json, and diagnose nothing",
+        option(
+            "write the first draw's recordings to this folder, its hidden effects to hidden.json, and diagnose nothing"
         ),
     ] = None,
     as_json: AsJson = False,

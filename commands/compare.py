@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ..models.output import output_folder
 from ._console import console
-from ._options import AsJson, Changes, Out, Seed, SomeScenarios, with_plugins
+from ._options import AsJson, Changes, Out, Seed, SomeScenarios, option, with_plugins
 
 EXAMPLES = (
     "flexspline compare",
@@ -24,8 +22,8 @@ def command(
     out: Out = Path("runs"),
     seed: Seed = None,
     changes: Changes = None,
-    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
-    recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
+    figures: Annotated[bool, option("Draw the figures.")] = True,
+    recording: Annotated[bool, option("Write the Rerun recordings.")] = True,
     as_json: AsJson = False,
 ) -> Any:
     """Compare filters: error, noise, delay, response time, robust share, NIS."""

@@ -6,11 +6,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ..models.output import check_output, output_folder
 from ._console import console, progress
-from ._options import AsJson, Changes, Jobs, shipped, with_plugins
+from ._options import AsJson, Changes, Jobs, argument, option, shipped, with_plugins
 
 if TYPE_CHECKING:
     from ..scenarios.evaluation.contact import ContactStudy
@@ -24,31 +22,27 @@ EXAMPLES = (
 @with_plugins
 def command(
     scenario: Annotated[
-        str, typer.Argument(help="Scenario with the motion: name or path.", autocompletion=shipped("scenarios"))
+        str, argument("Scenario with the motion: name or path.", autocompletion=shipped("scenarios"))
     ] = "collision",
     hours: Annotated[
-        float, typer.Option(min=0.05, max=100.0, help="Time without contact; half of it gives the thresholds.")
+        float, option("Time without contact; half of it gives the thresholds.", min=0.05, max=100.0)
     ] = 1.0,
     tolerance: Annotated[
         list[float] | None,
-        typer.Option(
-            min=0, max=100, help="Share of the joint's tolerances; repeatable. 0 (known exactly) and 1 by default."
-        ),
+        option("Share of the joint's tolerances; repeatable. 0 (known exactly) and 1 by default.", min=0, max=100),
     ] = None,
     filter_: Annotated[
         list[str] | None,
-        typer.Option(
-            "--filter",
-            help="An estimator by its name; repeatable. By default augmented, momentum, momentum_torsion, current, RAREKF, "
+        option(
+            "An estimator by its name; repeatable. By default augmented, momentum, momentum_torsion, current, RAREKF, "
             "AREKF, EKF, model.",
+            "--filter",
         ),
     ] = None,
-    rate: Annotated[
-        float, typer.Option(min=0.01, max=3000, help="False alarms per hour at which detectors are compared.")
-    ] = 10.0,
+    rate: Annotated[float, option("False alarms per hour at which detectors are compared.", min=0.01, max=3000)] = 10.0,
     jobs: Jobs = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for contact.json, contact.md, contact.csv (curves), contact.png.")
+        Path | None, option("Folder for contact.json, contact.md, contact.csv (curves), contact.png.")
     ] = None,
     changes: Changes = None,
     as_json: AsJson = False,

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-import shlex
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
 
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ._console import console, stages
 from ._measurement import load_measurement
-from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, with_plugins
+from ._options import AsJson, MeasurementPath, OtherJoint, ResultFolder, option, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,12 +32,12 @@ def command(
     out: ResultFolder,
     joint: OtherJoint = None,
     exact: Annotated[
-        bool, typer.Option("--exact", help="take the joint's numbers as exactly known: any difference is a cause")
+        bool, option("take the joint's numbers as exactly known: any difference is a cause", "--exact")
     ] = False,
     seconds: Annotated[
-        float | None, typer.Option("--time", min=0.0, metavar="SECONDS", help="answer with what is known by then")
+        float | None, option("answer with what is known by then", "--time", min=0.0, metavar="SECONDS")
     ] = None,
-    report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
+    report: Annotated[bool, option("write report.html and report.rrd")] = True,
     as_json: AsJson = False,
 ) -> Any:
     """Diagnose why a measurement differs from a joint's description: causes, how grave they are, and what to do.
@@ -118,19 +115,14 @@ def show(terminal: Console, report: Report, written: bool) -> None:
 
 
 def _commands(report: Report, written: bool) -> list[str]:
-    from ..models import plugins
-    from ..models.command_lines import checking, mending
+    from ..models.command_lines import checking, command_line, mending
 
-    found, measurement = report.diagnosis, report.measurement
-    measured, folder = shlex.quote(str(measurement.path)), shlex.quote(str(report.folder))
+    found, folder = report.diagnosis, report.folder
     if any(m.severe for m in found.mistakes):
-        return [(mending if found.mendable else checking)(measurement, report.joint)]
-    lines = [f"flexspline view {folder}"] if written else []
+        return [(mending if found.mendable else checking)(report.measurement, report.joint)]
+    lines = [command_line("view", folder)] if written else []
     if not found.complete:
         lines.append("# the time was up: run it again with more --time, or without, to complete the search")
     if found.problem is not None:
-        lines += [
-            f"flexspline validate NEW_MEASUREMENT --joint {folder}/joint.yaml --out check{plugins.options()}",
-            f"flexspline estimate {measured} --joint {folder}/joint.yaml --out estimates{plugins.options()}",
-        ]
-    return [*lines, f"flexspline plan {folder}"] if found.plan is not None and found.plan.proposals else lines
+        lines += [report.validating, report.estimating]
+    return [*lines, command_line("plan", folder)] if found.plan is not None and found.plan.proposals else lines

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import Annotated, Any
 
 from ..models.errors import InputError, read_text
 from ..models.output import check_output, made_from, output_folder
 from ._console import console
 from ._measurement import load_measurement, read_measurement_files
-from ._options import AsJson, with_plugins
-
-if TYPE_CHECKING:
-    from ..models.joint import Joint
+from ._options import AsJson, argument, option, with_plugins
 
 EXAMPLES = (
     "flexspline export measurement --out mcap",
@@ -25,21 +20,17 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    source: Annotated[
-        str, typer.Argument(help="a measurement; with `--to` a joint, its file, or the folder of a diagnosis")
-    ],
-    out: Annotated[Path, typer.Option(help="folder of the recordings; with `--to` the file to write")],
-    to: Annotated[str | None, typer.Option(help="simulator: mjcf, urdf, mjlab or isaac")] = None,
+    source: Annotated[str, argument("a measurement; with `--to` a joint, its file, or the folder of a diagnosis")],
+    out: Annotated[Path, option("folder of the recordings; with `--to` the file to write")],
+    to: Annotated[str | None, option("simulator: mjcf, urdf, mjlab or isaac")] = None,
     measurement: Annotated[
-        Path | None, typer.Option(help="measurement with the motion to fit; by default a standard motion is simulated")
+        Path | None, option("measurement with the motion to fit; by default a standard motion is simulated")
     ] = None,
-    into: Annotated[Path | None, typer.Option(help="your MJCF or URDF: change one joint's numbers in a copy")] = None,
-    hinge: Annotated[
-        str | None, typer.Option(help="name of the joint in the simulator; by default the joint's name")
-    ] = None,
-    rigid: Annotated[bool, typer.Option("--rigid", help="one hinge instead of rotor, spring and link (mjcf)")] = False,
-    draws: Annotated[int, typer.Option(min=0, help="joints drawn from the uncertainty, written to OUT.draws.json")] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 1,
+    into: Annotated[Path | None, option("your MJCF or URDF: change one joint's numbers in a copy")] = None,
+    hinge: Annotated[str | None, option("name of the joint in the simulator; by default the joint's name")] = None,
+    rigid: Annotated[bool, option("one hinge instead of rotor, spring and link (mjcf)", "--rigid")] = False,
+    draws: Annotated[int, option("joints drawn from the uncertainty, written to OUT.draws.json", min=0)] = 0,
+    seed: Annotated[int, option("of the draws", min=0)] = 1,
     as_json: AsJson = False,
 ) -> Any:
     """Write recordings as MCAP, or a joint for another simulator, with the error of its simpler structure.
@@ -66,7 +57,8 @@ def command(
     if out.is_dir():
         raise InputError(f"{out}: expected a file to write to, got a folder")
     path = Path(source)
-    joint: Joint = load_joint(path / "joint.yaml" if path.is_dir() else source)
+    described = str(path / "joint.yaml") if path.is_dir() else source
+    joint = load_joint(described)
     name, inside, text = hinge or joint.name, (False, True), ""
     if into is not None:
         if out.exists() and out.samefile(into):
@@ -82,10 +74,7 @@ def command(
 
         data, motion = standard_motion(joint), "a simulated standard motion"
     else:
-        data, motion = (
-            load_measurement(measurement, str(path / "joint.yaml") if path.is_dir() else source)[0],
-            f"{measurement}",
-        )
+        data, motion = load_measurement(measurement, described)[0], str(measurement)
 
     from ..diagnosis.collapse import collapse
     from ..sim.plant import link_mass

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ..models.errors import InputError
 from ._console import console
-from ._options import with_plugins
+from ._options import argument, option, with_plugins
 
 EXAMPLES = (
     "flexspline export-estimator augmented --joint my_joint.yaml --to c",
@@ -19,12 +17,12 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    name: Annotated[str, typer.Argument(help="Name of a causal estimator (`flexspline estimators`).")],
-    joint: Annotated[str, typer.Option(help="A joint description, or the name of a shipped one.")],
-    to: Annotated[str, typer.Option(help="Language: c, which is C99.")] = "c",
-    mounting: Annotated[str | None, typer.Option(help="Mounting of the joint; by default the joint's.")] = None,
-    interval: Annotated[float, typer.Option(help="Time between samples [s].")] = 1e-3,
-    out: Annotated[Path | None, typer.Option(help="Header to write; by default NAME.h.")] = None,
+    name: Annotated[str, argument("Name of a causal estimator (`flexspline estimators`).")],
+    joint: Annotated[str, option("A joint description, or the name of a shipped one.")],
+    to: Annotated[str, option("Language: c, which is C99.")] = "c",
+    mounting: Annotated[str | None, option("Mounting of the joint; by default the joint's.")] = None,
+    interval: Annotated[float, option("Time between samples [s].")] = 1e-3,
+    out: Annotated[Path | None, option("Header to write; by default NAME.h.")] = None,
 ) -> None:
     """Write an estimator with a joint's numbers as one C99 header: `init` and `step`, no allocation.
 

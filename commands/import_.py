@@ -8,13 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ..models.errors import InputError, InputWarning, check_each_once
 from ..models.output import check_output, output_folder
 from ._console import console
 from ._measurement import print_mistakes, read_measurement_files
-from ._options import AsJson, with_plugins
+from ._options import AsJson, argument, option, with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
@@ -34,24 +32,21 @@ EXAMPLES = (
 def command(
     what: Annotated[
         list[str],
-        typer.Argument(
-            metavar="FORMAT FILE…",
-            help="a shipped layout (`lara8`, `ur3e`, `ur3e_rtde`) or a mapping file (YAML), and logs (CSV and other text, "
+        argument(
+            "a shipped layout (`lara8`, `ur3e`, `ur3e_rtde`) or a mapping file (YAML), and logs (CSV and other text, "
             "Parquet, JSON, npz, mat, HDF5, xlsx, MCAP, ROS bags); or a measurement alone; or, with --propose, a log alone",
+            metavar="FORMAT FILE…",
         ),
     ],
-    out: Annotated[Path | None, typer.Option(help="folder that the recordings are written to")] = None,
-    joint: Annotated[str | None, typer.Option(help="name or path of a joint; by default the layout's")] = None,
-    name: Annotated[
-        str | None, typer.Option(help="name of the recording of a single log; by default the log's")
-    ] = None,
+    out: Annotated[Path | None, option("folder that the recordings are written to")] = None,
+    joint: Annotated[str | None, option("name or path of a joint; by default the layout's")] = None,
+    name: Annotated[str | None, option("name of the recording of a single log; by default the log's")] = None,
     propose: Annotated[
-        bool,
-        typer.Option("--propose", help="print a mapping for a log: its columns, their likely quantities and units"),
+        bool, option("print a mapping for a log: its columns, their likely quantities and units", "--propose")
     ] = False,
-    fix: Annotated[bool, typer.Option("--fix", help="correct the mistakes that `flexspline check` finds")] = False,
+    fix: Annotated[bool, option("correct the mistakes that `flexspline check` finds", "--fix")] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="replace imported recordings with these names; edited YAML files are kept")
+        bool, option("replace imported recordings with these names; edited YAML files are kept", "--force")
     ] = False,
     as_json: AsJson = False,
 ) -> Any:

@@ -5,21 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ..models.errors import InputError
 from ._console import console, stages
 from ._measurement import load_measurement
-from ._options import AsJson, OtherJoint, with_plugins
+from ._options import AsJson, OtherJoint, argument, with_plugins
 
 EXAMPLES = ("flexspline plan measurement", "flexspline plan diagnosis --json")
 
 
 @with_plugins
 def command(
-    source: Annotated[
-        Path, typer.Argument(help="a measurement, or the folder of a diagnosis", metavar="MEASUREMENT|DIAGNOSIS")
-    ],
+    source: Annotated[Path, argument("a measurement, or the folder of a diagnosis", metavar="MEASUREMENT|DIAGNOSIS")],
     joint: OtherJoint = None,
     as_json: AsJson = False,
 ) -> Any:

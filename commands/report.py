@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ..models.errors import InputError
 from ._console import console
-from ._options import AsJson, with_plugins
+from ._options import AsJson, argument, option, with_plugins
 
 HOLDS = "a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact"  # what a folder may hold
 _MARK = '<meta name="generator" content="flexspline">'
@@ -29,12 +27,9 @@ EXAMPLES = (
 @with_plugins
 def command(
     folders: Annotated[
-        list[Path],
-        typer.Argument(help=f"of {HOLDS}; or two diagnoses of a joint, before and after", metavar="FOLDER [FOLDER]"),
+        list[Path], argument(f"of {HOLDS}; or two diagnoses of a joint, before and after", metavar="FOLDER [FOLDER]")
     ],
-    out: Annotated[Path, typer.Option(help="the page, an HTML file without references to others")] = Path(
-        "report.html"
-    ),
+    out: Annotated[Path, option("the page, an HTML file without references to others")] = Path("report.html"),
     as_json: AsJson = False,
 ) -> Any:
     """Write one self-contained page of a run, a comparison, a diagnosis, a validation, a sweep or contact; or of two diagnoses.

@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ._console import console
-from ._options import AsJson, Changes, Out, Scenarios, Seed, with_plugins
+from ._options import AsJson, Changes, Out, Scenarios, Seed, option, with_plugins
 
 EXAMPLES = (
     "flexspline run external_push",
@@ -25,8 +23,8 @@ def command(
     out: Out = Path("runs"),
     seed: Seed = None,
     changes: Changes = None,
-    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
-    recording: Annotated[bool, typer.Option(help="Write the Rerun recording.")] = True,
+    figures: Annotated[bool, option("Draw the figures.")] = True,
+    recording: Annotated[bool, option("Write the Rerun recording.")] = True,
     as_json: AsJson = False,
 ) -> Any:
     """Run scenarios; write signals, estimates, metrics, figures and a Rerun recording, for an arm of every joint."""

@@ -6,11 +6,9 @@ import importlib
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ..models.errors import InputError, nearest
 from ..models.output import output_folder
-from ._options import with_plugins
+from ._options import argument, option, with_plugins
 
 EXAMPLES = ("flexspline schema scenario", "flexspline schema --out schemas")
 KINDS = {
@@ -31,8 +29,8 @@ KINDS = {
 
 @with_plugins
 def command(
-    kind: Annotated[str, typer.Argument(help=f"of file: {', '.join(KINDS)}", autocompletion=lambda: list(KINDS))] = "",
-    out: Annotated[Path | None, typer.Option(help="folder to write a file of each kind to")] = None,
+    kind: Annotated[str, argument(f"of file: {', '.join(KINDS)}", autocompletion=lambda: list(KINDS))] = "",
+    out: Annotated[Path | None, option("folder to write a file of each kind to")] = None,
 ) -> Any:
     """Print the JSON Schema of a kind of YAML file, for completion and checks in editors.
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
 
 from ..models.output import at_end, check_output, output_folder
 from ..models.processes import single_threaded
 from ._console import console, progress
-from ._options import AsJson, Jobs, shipped, with_plugins
+from ._options import AsJson, Jobs, argument, option, shipped, with_plugins
 
 if TYPE_CHECKING:
     from ..scenarios.studies.statistics import Swept, WorstRun
@@ -26,17 +23,14 @@ EXAMPLES = (
 @with_plugins
 def command(
     study: Annotated[
-        str,
-        typer.Argument(
-            help="Name of a shipped study, or path of a YAML file.", autocompletion=shipped("scenarios/studies")
-        ),
+        str, argument("Name of a shipped study, or path of a YAML file.", autocompletion=shipped("scenarios/studies"))
     ],
-    out: Annotated[Path, typer.Option("--out", help="Folder of the dataset; an unfinished one is continued.")],
+    out: Annotated[Path, option("Folder of the dataset; an unfinished one is continued.")],
     jobs: Jobs = None,
-    scheduler: Annotated[str, typer.Option(help="address of a Dask scheduler, `tcp://…`: compute on its workers")] = "",
-    chunk: Annotated[int | None, typer.Option(min=1, help="runs per file; the rows do not depend on it")] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, help="number of seeds, instead of the study's")] = None,
-    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    scheduler: Annotated[str, option("address of a Dask scheduler, `tcp://…`: compute on its workers")] = "",
+    chunk: Annotated[int | None, option("runs per file; the rows do not depend on it", min=1)] = None,
+    seeds: Annotated[int | None, option("number of seeds, instead of the study's", min=1)] = None,
+    figures: Annotated[bool, option("Draw the figures.")] = True,
     as_json: AsJson = False,
 ) -> Any:
     """Sweep a study: seeds × parameters × scenarios × filters.
@@ -82,12 +76,11 @@ def command(
 
 
 def _again(run: WorstRun, out: Path) -> str:
-    from ..models import plugins
+    from ..models.command_lines import command_line
 
     if run.again is None:
         return " (its joint is drawn)"
-    place = shlex.quote((out / "worst" / f"{run.scenario}.yaml").as_posix())
-    return f"; again: flexspline run {place}{plugins.options()}"
+    return f"; again: {command_line('run', out / 'worst' / f'{run.scenario}.yaml')}"
 
 
 def write_summary(swept: Swept, figures: bool = True) -> None:

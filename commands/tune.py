@@ -8,12 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ._console import console, progress
-from ._options import AsJson, Changes, Estimators, Jobs, SomeScenarios, Vary, with_plugins
+from ._options import AsJson, Changes, Estimators, Jobs, SomeScenarios, Vary, option, with_plugins
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -28,20 +26,20 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    out: Annotated[Path, typer.Option(help="Folder for tuned.yaml, tuned.md and the figure.")],
+    out: Annotated[Path, option("Folder for tuned.yaml, tuned.md and the figure.")],
     scenarios: SomeScenarios = None,
     filter_: Estimators = None,
-    train: Annotated[str, typer.Option(metavar="A-B", help="Seeds for tuning.")] = "1-5",
-    test: Annotated[str, typer.Option(metavar="A-B", help="Seeds for the report.")] = "101-110",
+    train: Annotated[str, option("Seeds for tuning.", metavar="A-B")] = "1-5",
+    test: Annotated[str, option("Seeds for the report.", metavar="A-B")] = "101-110",
     together: Annotated[
-        bool, typer.Option(help="One tuning for all scenarios (geometric mean), instead of one for each.")
+        bool, option("One tuning for all scenarios (geometric mean), instead of one for each.")
     ] = False,
     evaluations: Annotated[
-        int, typer.Option(min=1, help="Settings to try per filter; a tenth for filters that simulate the joint.")
+        int, option("Settings to try per filter; a tenth for filters that simulate the joint.", min=1)
     ] = 300,
     vary: Vary = True,
     jobs: Jobs = None,
-    pareto: Annotated[bool, typer.Option(help="Sweep noise against delay if a scenario has pushes.")] = True,
+    pareto: Annotated[bool, option("Sweep noise against delay if a scenario has pushes.")] = True,
     changes: Changes = None,
     as_json: AsJson = False,
 ) -> Any:

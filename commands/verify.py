@@ -9,15 +9,15 @@ from typing import Annotated
 import typer
 
 from ._console import console, print_table
-from ._options import AsJson
+from ._options import AsJson, argument, option
 
 EXAMPLES = ("flexspline verify reference",)
 
 
 def command(
-    folder: Annotated[Path, typer.Argument(help="Folder with the reference solutions (Parquet).")],
-    joint: Annotated[str, typer.Option(help="Joint of these solutions: name or path.")] = "test-joint",
-    timestep: Annotated[float, typer.Option(help="Timestep of the plant [s].", min=1e-6, max=1e-3)] = 0.0002,
+    folder: Annotated[Path, argument("Folder with the reference solutions (Parquet).")],
+    joint: Annotated[str, option("Joint of these solutions: name or path.")] = "test-joint",
+    timestep: Annotated[float, option("Timestep of the plant [s].", min=1e-6, max=1e-3)] = 0.0002,
     as_json: AsJson = False,
 ) -> None:
     """Compare the plant with reference solutions; exit code 1 when a limit is missed."""

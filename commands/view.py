@@ -20,7 +20,7 @@ import typer
 from ..models.errors import InputError
 from ..models.output import at_end
 from ._console import console
-from ._options import AsJson, Changes, Seed, shipped, with_plugins
+from ._options import AsJson, Changes, Seed, argument, option, shipped, with_plugins
 
 if TYPE_CHECKING:
     from ..scenarios.run import Run
@@ -45,26 +45,22 @@ EXAMPLES = (
 def command(
     folders: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Folder of a run or a diagnosis, or an .rrd recording; or several runs, to overlay.",
-            metavar="[FOLDER…]",
+        argument(
+            "Folder of a run or a diagnosis, or an .rrd recording; or several runs, to overlay.", metavar="[FOLDER…]"
         ),
     ] = None,
     live: Annotated[
         str | None,
-        typer.Option(
-            "--live",
+        option(
+            "Run a scenario (name or path) and play it; nothing is written.",
             metavar="SCENARIO",
-            help="Run a scenario (name or path) and play it; nothing is written.",
             autocompletion=shipped("scenarios"),
         ),
     ] = None,
     changes: Changes = None,
     seed: Seed = None,
-    speed: Annotated[
-        float, typer.Option("--speed", min=0.01, max=1000, help="Of `--live`: seconds of the scenario per second.")
-    ] = 1.0,
-    web: Annotated[bool, typer.Option("--web", help="In the browser, instead of a window.")] = False,
+    speed: Annotated[float, option("Of `--live`: seconds of the scenario per second.", min=0.01, max=1000)] = 1.0,
+    web: Annotated[bool, option("In the browser, instead of a window.", "--web")] = False,
     as_json: AsJson = False,
 ) -> Any:
     """Open one or several runs, a diagnosis, or a scenario as it goes on (`--live`) in the Rerun viewer.

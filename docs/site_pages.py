@@ -6,13 +6,14 @@ A hook of MkDocs (`mkdocs.yml`). Nothing of it is kept in the repository, so tha
 from __future__ import annotations
 
 import ast
-import importlib
 import json
 import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+import typer.cli
 
 from flexspline import _ELSEWHERE, commands
 from flexspline import __all__ as public
@@ -46,25 +47,10 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def commands_page() -> str:
-    """All commands: what they do, how they are called, their options."""
-    parts = ["# Commands", commands._MORE]
-    for folder in ("", "joint"):
-        for name, module in commands._files(folder).items():
-            if (ROOT / "commands" / folder / module).is_dir():
-                continue
-            words = f"{folder} {name}".strip()
-            loaded = importlib.import_module(".".join(p for p in ("flexspline.commands", folder, module) if p))
-            parts += [f"## {words}", commands._load(name, folder).help]
-            parts.append("```\n" + "\n".join(loaded.EXAMPLES) + "\n```")
-            rows = ["| | |", "|---|---|"]
-            for option in commands._load(name, folder).params:
-                called = ", ".join(f"`{o}`" for o in (*option.opts, *option.secondary_opts) if o != "--help")
-                if option.param_type_name == "argument":
-                    called = f"`{option.metavar or option.name}`"
-                text = getattr(option, "help", None) or ""
-                rows.append(f"| {called} | {text} |".replace("\n", " "))
-            parts.append("\n".join(row for row in rows if not row.startswith("|  |")))
-    return "\n\n".join(parts) + "\n"
+    """Write all commands: what they do, how they are called, their options."""
+    command: Any = typer.main.get_command(commands.app)
+    context = command.context_class(command, info_name="flexspline")
+    return typer.cli.get_docs_for_click(obj=command, ctx=context, name="flexspline", title="Commands")
 
 
 def python_page() -> str:
@@ -103,29 +89,12 @@ def examples_page() -> str:
 
 
 def key_reference(title: str, schema: dict[str, Any]) -> str:
-    """The page of a file's keys: a section for the file and for everything that it is made of, in the order of mention.
-
-    Args:
-      title: of the page.
-      schema: JSON Schema of the file (`commands.schema.schema_of`).
-    """
+    """Write the page of a file's keys by its JSON Schema: a section for the file and for each of its parts."""
     known = schema.get("$defs", {})
     parts = [f"# {title}", *_section(schema, known)]
-    for name in _mentioned(schema, known):
-        parts += [f"## {name}", *_section(known[name], known)]
+    for name, part in known.items():
+        parts += [f"## {name}", *_section(part, known)]
     return "\n\n".join(parts) + "\n"
-
-
-def _mentioned(schema: dict[str, Any], known: dict[str, Any]) -> list[str]:
-    """Names of definitions in the order in which they are first mentioned, those inside others after them."""
-    found: list[str] = []
-    waiting: list[Any] = [{key: value for key, value in schema.items() if key != "$defs"}]
-    while waiting:
-        for name in re.findall(r'"#/\$defs/(\w+)"', json.dumps(waiting.pop(0))):
-            if name not in found:
-                found.append(name)
-                waiting.append(known[name])
-    return found
 
 
 def _section(schema: dict[str, Any], known: dict[str, Any]) -> Iterator[str]:

@@ -18,11 +18,9 @@ joint = fs.load_joint("test-joint")
 if not LOG.exists():
     effect = Effect(name="friction_asymmetry", parameters={"ratio": Estimate(value=0.35)})
     worn = joint.model_copy(update={"effects": [effect]})
-    worn.write(Path("worn.yaml"))
-    path = str(Path("worn.yaml").resolve())
     sweep = [(0.5, 0.0), (3.5, 1.2), (9.0, -1.2), (13.0, 1.0), (16.0, 0.0)]  # s, rad
     run = fs.simulate(
-        "link_sweep", joint=path, duration=17, trajectory=[{"time": t, "position": x} for t, x in sweep],
+        "link_sweep", joint=worn, duration=17, trajectory=[{"time": t, "position": x} for t, x in sweep],
         controller={"kp": 8.0, "kd": 0.08, "ki": 20.0},
     )  # fmt: skip
     made = {"t_ms": 1e3 * run.time, "motor_deg": np.degrees(run.reading("motor_position"))}

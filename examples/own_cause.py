@@ -5,8 +5,6 @@ rotor, mesh, flexspline or link, or an error of a reading. By its name it is kno
 `flexspline diagnose MEASUREMENT --plugin examples/own_cause.py --out DIR`; docs/plugins.md says how a package offers it.
 """
 
-from pathlib import Path
-
 import numpy as np
 
 import flexspline as fs
@@ -44,11 +42,9 @@ if __name__ == "__main__":
     joint = fs.load_joint("test-joint")
     hidden = {"torque": {"value": 1.6}, "angle": {"value": 0.4}, "width": {"value": 0.25}}
     worn = joint.model_copy(update={"effects": [Effect.model_validate({"name": "pinched_hose", "parameters": hidden})]})
-    worn.write(Path("worn.yaml"))
     sweep = [(0.5, 0.0), (3.5, 1.2), (9.0, -1.2), (13.0, 1.0), (16.0, 0.0)]  # s, rad
     moves, gains = [{"time": t, "position": x} for t, x in sweep], {"kp": 8.0, "kd": 0.08, "ki": 20.0}
-    path = str(Path("worn.yaml").resolve())
-    run = fs.simulate("link_sweep", joint=path, duration=17, trajectory=moves, controller=gains)
+    run = fs.simulate("link_sweep", joint=worn, duration=17, trajectory=moves, controller=gains)
     found = fs.diagnose(run.as_recording(), joint)
     for cause in found.causes:
         values = ", ".join(f"{name} {p.value:.3g} ± {p.std:.1g} {p.unit}" for name, p in cause.parameters.items())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import shlex
@@ -11,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterator
 from html import unescape
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -73,22 +71,6 @@ def reference(shared):
             pytest.skip(f"no reference data at {path}")
         table = pq.read_table(path)
         return {column: table[column].to_numpy() for column in table.column_names}
-
-    return read
-
-
-@pytest.fixture(scope="session")
-def page():
-    """Return a function: name of a page in docs/ → the program behind it, as a module."""
-
-    def read(name: str) -> ModuleType:
-        spec = importlib.util.spec_from_file_location(f"{name}_page", ROOT / "docs" / f"{name}.py")
-        assert spec is not None and spec.loader is not None
-        module = sys.modules[spec.name] = importlib.util.module_from_spec(
-            spec
-        )  # dataclasses look their module up there
-        spec.loader.exec_module(module)
-        return module
 
     return read
 

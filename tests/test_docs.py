@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import inspect
 import json
 import re
@@ -99,8 +98,7 @@ def test_commands_and_options_exist(page):
 
 def options(name: str, folder: str = "") -> set[str]:
     """Return the options of a command."""
-    module = ".".join(part for part in ("flexspline.commands", folder, commands._files(folder)[name]) if part)
-    function = importlib.import_module(module).command
+    function, _ = commands.find(name, folder)
     found = {"--help"}
     for parameter, hint in get_type_hints(function, include_extras=True).items():
         for info in get_args(hint)[1:]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from copy import copy
 from dataclasses import replace
@@ -35,8 +36,8 @@ def recording(log):
 
 
 @pytest.fixture(scope="module")
-def lara8(page):
-    return page("lara8")
+def lara8():
+    return importlib.import_module("benchmarks.lara8")
 
 
 @pytest.mark.parametrize("name", ["lara8-joint3", "lara8-joint3-extended"])

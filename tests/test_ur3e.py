@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,8 +25,8 @@ def log(measured):
 
 
 @pytest.fixture(scope="module")
-def ur3e(page):
-    return page("ur3e")
+def ur3e():
+    return importlib.import_module("benchmarks.ur3e")
 
 
 def test_import_and_check(flexspline, log, tmp_path):

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from ..models.gear_sheet import comparison
+from ..models.characteristics import Characteristics
+from ..models.gear_sheet import GearSheet, comparison
+from ..models.joint import Joint
 from .report import plain
 from .tables import heading, text_table
-
-if TYPE_CHECKING:
-    from ..models.characteristics import Characteristics
-    from ..models.gear_sheet import GearSheet
-    from ..models.joint import Joint
 
 WIDTH = 80  # largest width in columns
 _TOLERANCES = "±: one standard deviation of the description's tolerances"

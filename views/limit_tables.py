@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from ..models.files import write_into_place, write_rows
+from ..models.files import write_into_place
 from ..models.tables import write_table
 from .tables import heading, text_table
 
@@ -44,11 +44,6 @@ def summary_rows(found: Sequence[Limits]) -> Iterator[dict[str, Any]]:
             for mean in (e.nis, e.nees):
                 row += [None, None, None] if mean is None else [mean.value, mean.low, mean.high]
             yield dict(zip(SUMMARY, [*row, e.nees_share, e.outside, e.whiteness], strict=True))
-
-
-def write_summary(found: Sequence[Limits], path: Path) -> None:
-    """Write `summary_rows` as CSV."""
-    write_rows(path, list(summary_rows(found)), SUMMARY)
 
 
 def write_limits(limits: Limits, path: Path) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..models import plugins
 from .advice import advice, parameter_text
 from .numbers import percent
 from .tables import markdown_table
@@ -44,6 +46,22 @@ class Report:
     def used(self) -> Measurement:
         """The parts of the measurement that the diagnosis used; its segments count these recordings."""
         return self.diagnosis.used or self.measurement
+
+    @property
+    def extended(self) -> str:
+        """The file of the extended joint, quoted for a command line."""
+        return f"{shlex.quote((self.folder or Path('DIR')).as_posix())}/joint.yaml"
+
+    @property
+    def estimating(self) -> str:
+        """The command line that estimates torques of the measurement with the extended joint."""
+        measured = shlex.quote(Path(self.measurement.path).as_posix())
+        return f"flexspline estimate {measured} --joint {self.extended} --out estimates{plugins.options()}"
+
+    @property
+    def validating(self) -> str:
+        """The command line that compares a new measurement with the extended joint."""
+        return f"flexspline validate NEW_MEASUREMENT --joint {self.extended} --out check{plugins.options()}"
 
 
 def verdict_sentence(d: Diagnosis) -> str:

@@ -6,14 +6,12 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
 from ..models.errors import InputError
 from ..models.parameters import GRAVITY
+from .pages.rendering import environment
 
 if TYPE_CHECKING:
     from ..diagnosis.collapse import Collapse
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
 _FILES = {"mjcf": "joint.xml.j2", "urdf": "joint.urdf.j2", "mjlab": "mjlab.py.j2", "isaac": "isaac.py.j2"}
 TARGETS = tuple(_FILES)
 PLAIN = re.compile(r"[\w ./:+-]+")  # A joint's name that can be written to every target as it is
-TEMPLATES = Path(__file__).parent / "templates"
 
 
 def heading(found: Collapse, joint: str, motion: str) -> list[str]:
@@ -61,10 +58,7 @@ def written(found: Collapse, target: str, hinge: str, notes: list[str], link: Ma
         "inertia": link["inertia"] - link["mass"] * link["lever"] ** 2, "gravity": GRAVITY,
         "centre": [link["lever"] * math.sin(link["angle"]), 0.0, -link["lever"] * math.cos(link["angle"])],
     }  # fmt: skip
-    templates = Environment(
-        loader=FileSystemLoader(TEMPLATES), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )  # fmt: skip
+    templates = environment(keep_trailing_newline=True)
     templates.filters |= {"n": _n, "comment": _comment}
     return templates.get_template(_FILES[target]).render(context)
 

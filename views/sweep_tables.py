@@ -245,10 +245,9 @@ def place_of(
     aggregates: Sequence[Aggregate], name: str, across: str, value: Value | None, panel: dict[str, Value]
 ) -> Aggregate | None:
     """Return a filter's summary at a point of a panel; a filter that an axis does not vary is the same at all its points."""
-    for s in aggregates:
-        if s.filter != name or s.columns.get(across) not in (value, None):
-            continue
-        none = s.columns.get("cause") == "none"
-        if all(s.columns[k] in (v, None) or (k == "cause" and none) for k, v in panel.items()):
-            return s
-    return None
+
+    def there(s: Aggregate, axis: str, wanted: Value | None) -> bool:
+        return s.columns.get(axis) in (wanted, None) or (axis == "cause" and s.columns["cause"] == "none")
+
+    at = {across: value} | panel
+    return next((s for s in aggregates if s.filter == name and all(there(s, *one) for one in at.items())), None)

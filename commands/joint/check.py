@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...models.errors import one_line
-from .._options import AsJson, with_plugins
+from .._options import AsJson, argument, with_plugins
 
 if TYPE_CHECKING:
     from ...models.joint_check import Fault
@@ -18,7 +18,7 @@ EXAMPLES = ("flexspline joint check my_joint.yaml", "flexspline joint check my_j
 
 @with_plugins
 def command(
-    joint: Annotated[str, typer.Argument(help="A joint description, or the name of a shipped one.", metavar="FILE")],
+    joint: Annotated[str, argument("A joint description, or the name of a shipped one.", metavar="FILE")],
     as_json: AsJson = False,
 ) -> None:
     """Check a joint description: print all errors, and warnings of implausible values, a line each.

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from ...models.output import check_output, made_from, output_folder
 from .._measurement import load_measurement
-from .._options import AsJson, ResultFolder, with_plugins
+from .._options import AsJson, ResultFolder, argument, option, with_plugins
 
 EXAMPLES = (
     "flexspline joint friction csg-25-100-tbm2g --out friction",
@@ -19,9 +17,9 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    joint: Annotated[str, typer.Argument(help="Name of a shipped joint, or a joint description.", metavar="JOINT")],
+    joint: Annotated[str, argument("Name of a shipped joint, or a joint description.", metavar="JOINT")],
     out: ResultFolder,
-    measurement: Annotated[Path | None, typer.Option(help="measurement to test the feed-forward with")] = None,
+    measurement: Annotated[Path | None, option("measurement to test the feed-forward with")] = None,
     as_json: AsJson = False,
 ) -> Any:
     """Write friction over speed, load and temperature, with driving and back-driving efficiency, as CSV and C function.

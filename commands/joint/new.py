@@ -11,7 +11,7 @@ import typer
 
 from ...models.errors import InputError, nearest
 from .._console import console
-from .._options import AsJson
+from .._options import AsJson, option
 
 if TYPE_CHECKING:
     from ...models.datasheet import NewJoint
@@ -35,47 +35,45 @@ EXAMPLES = (
 
 
 def command(
-    gear: Annotated[str | None, typer.Option(help="Gear as `series-size-ratio`: `CSG-25-100`.")] = None,
-    torque_constant: Annotated[str | None, typer.Option(help="Of the motor, Kt: `57 mNm/A`.")] = None,
-    resistance: Annotated[str | None, typer.Option(help="Of the motor between its terminals, R: `1.56 ohm`.")] = None,
-    inductance: Annotated[str | None, typer.Option(help="Of the motor between its terminals, L: `0.6 mH`.")] = None,
-    rotor_inertia: Annotated[str | None, typer.Option(help="Of the motor, Jm: `181 gcm²`.")] = None,
-    motor_encoder: Annotated[str | None, typer.Option(help="Counts per turn, `4096`, or bits, `12 bit`.")] = None,
-    link_encoder: Annotated[str | None, typer.Option(help="Counts per turn or bits, `20 bit`.")] = None,
+    gear: Annotated[str | None, option("Gear as `series-size-ratio`: `CSG-25-100`.")] = None,
+    torque_constant: Annotated[str | None, option("Of the motor, Kt: `57 mNm/A`.")] = None,
+    resistance: Annotated[str | None, option("Of the motor between its terminals, R: `1.56 ohm`.")] = None,
+    inductance: Annotated[str | None, option("Of the motor between its terminals, L: `0.6 mH`.")] = None,
+    rotor_inertia: Annotated[str | None, option("Of the motor, Jm: `181 gcm²`.")] = None,
+    motor_encoder: Annotated[str | None, option("Counts per turn, `4096`, or bits, `12 bit`.")] = None,
+    link_encoder: Annotated[str | None, option("Counts per turn or bits, `20 bit`.")] = None,
     gear_sheet: Annotated[
         Path | None,
-        typer.Option(
-            help="The gear's data sheet, .yaml: running and starting torque, efficiency, hysteresis; friction is fitted to it."
+        option(
+            "The gear's data sheet, .yaml: running and starting torque, efficiency, hysteresis; friction is fitted to it."
         ),
     ] = None,
-    motor: Annotated[str, typer.Option(help="Name of the motor, for the sources.")] = "",
-    name: Annotated[str, typer.Option(help="Of the joint; by default that of the gear.")] = "",
-    description: Annotated[str, typer.Option(help="A sentence for people.")] = "",
+    motor: Annotated[str, option("Name of the motor, for the sources.")] = "",
+    name: Annotated[str, option("Of the joint; by default that of the gear.")] = "",
+    description: Annotated[str, option("A sentence for people.")] = "",
     inertia: Annotated[
-        float | None, typer.Option(min=0, help="Of the payload, about the axis [kg·m²]; by default from the size.")
+        float | None, option("Of the payload, about the axis [kg·m²]; by default from the size.", min=0)
     ] = None,
     gravity_moment: Annotated[
-        float | None, typer.Option(min=0, help="Of the payload, at horizontal [N·m]; by default from the size.")
+        float | None, option("Of the payload, at horizontal [N·m]; by default from the size.", min=0)
     ] = None,
     changes: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set", metavar="SYMBOL=VALUE", help="Any other known number: `current_limit=6 A`, `K1=31000`. Repeatable."
-        ),
+        option("Any other known number: `current_limit=6 A`, `K1=31000`. Repeatable.", "--set", metavar="SYMBOL=VALUE"),
     ] = None,
     sources: Annotated[
-        list[str] | None, typer.Option("--source", metavar="SYMBOL=TEXT", help="Where a number is from. Repeatable.")
+        list[str] | None, option("Where a number is from. Repeatable.", "--source", metavar="SYMBOL=TEXT")
     ] = None,
     tolerances: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "Relative standard deviation, `Jm=0.3`; above 0.5 a factor: `bw=2` is known within a factor of 3. Repeatable.",
             "--tolerance",
             metavar="SYMBOL=SHARE",
-            help="Relative standard deviation, `Jm=0.3`; above 0.5 a factor: `bw=2` is known within a factor of 3. Repeatable.",
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="File to write; NAME.yaml by default.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
+    out: Annotated[Path | None, option("File to write; NAME.yaml by default.")] = None,
+    force: Annotated[bool, option("Replace existing files.", "--force")] = False,
     as_json: AsJson = False,
 ) -> Any:
     """Make a joint description from the datasheets of gear, motor and encoders; at a terminal it asks for missing values.

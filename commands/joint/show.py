@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ...models.errors import InputError
 from .._console import console
-from .._options import AsJson, with_plugins
+from .._options import AsJson, argument, option, with_plugins
 
 if TYPE_CHECKING:
     from ...models.joint import Joint
@@ -23,13 +21,9 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    joint: Annotated[
-        str, typer.Argument(help="Name of a shipped joint, or a joint description.", metavar="JOINT")
-    ] = "test-joint",
-    out: Annotated[Path | None, typer.Option(help="Write the figure to this file, .png.")] = None,
-    gear_sheet: Annotated[
-        Path | None, typer.Option(help="The gear's data sheet, .yaml, to compare the predictions with.")
-    ] = None,
+    joint: Annotated[str, argument("Name of a shipped joint, or a joint description.", metavar="JOINT")] = "test-joint",
+    out: Annotated[Path | None, option("Write the figure to this file, .png.")] = None,
+    gear_sheet: Annotated[Path | None, option("The gear's data sheet, .yaml, to compare the predictions with.")] = None,
     as_json: AsJson = False,
 ) -> Any:
     """Show a joint: stiffness, hysteresis, friction, resonances, resolution of the encoders, detectable causes.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexspline as fs
-from docs.lara8 import SENSOR_MEMORY, SENSOR_NOISE, fit_current, fit_eccentricity, with_effects
+from benchmarks.lara8 import SENSOR_MEMORY, SENSOR_NOISE, fit_current, fit_eccentricity, with_effects
 from flexspline.estimator.smoothed import STEP
 from flexspline.models.joint import Joint, load_joint
 from flexspline.models.joint_parts import Effect, Estimate

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from ...models.gear_sheet import EFFICIENCY, RUNNING
+from ...models.characteristics import Characteristics
+from ...models.gear_sheet import EFFICIENCY, RUNNING, GearSheet, SheetEntry
+from ...models.joint import Joint
 from ..joint_text import causes_lines
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, TRUTH
 from .sheet import sheet, styled
-
-if TYPE_CHECKING:
-    from ...models.characteristics import Characteristics
-    from ...models.gear_sheet import GearSheet, SheetEntry
-    from ...models.joint import Joint
 
 _BAND = 0.25
 _COLUMN = 118  # characters of the last panel's text

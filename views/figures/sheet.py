@@ -18,7 +18,6 @@ from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
-from PIL import Image
 
 from ...models.files import write_into_place
 
@@ -155,11 +154,6 @@ def decades(*several: Axis) -> None:
 
 def save(figure: Figure, path: Path, dpi: int = _DPI) -> Path:
     """Write a figure as PNG, moved into place when complete. Raises `InputError`: the file cannot be written."""
-    figure.set_dpi(dpi)
     with matplotlib.rc_context(STYLE), write_into_place(path) as temporary:
-        canvas = figure.canvas
-        assert isinstance(canvas, FigureCanvasAgg)
-        canvas.draw()
-        pixels = Image.frombytes("RGB", canvas.get_width_height(), canvas.buffer_rgba(), "raw", "RGBX")
-        pixels.save(temporary, format="png", compress_level=_COMPRESSION, dpi=(figure.dpi, figure.dpi))
+        figure.savefig(temporary, format="png", dpi=dpi, pil_kwargs={"compress_level": _COMPRESSION})
     return path

@@ -1,14 +1,21 @@
-"""A chart as SVG paths. Colours are classes of the page's style sheet, light and dark."""
+"""A chart as SVG paths, and those of a frequency response. Colours are classes of the page's style sheet, light and dark."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..series import envelope
+
+if TYPE_CHECKING:
+    from ...diagnosis.bode import Response
+
+WIDTH = 540  # of a chart of which a page shows two in a row [px]
+_FREQUENCIES = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200)  # ticks [Hz]
 
 
 @dataclass(frozen=True)
@@ -72,6 +79,12 @@ class Chart:
             joined = drawn
         self.marks.append(Mark("".join(pieces), f"line {kind}"))
 
+    def lines(self, x: np.ndarray, curves: Mapping[str, np.ndarray]) -> Chart:
+        """Draw several lines by their classes of the style sheet, the last on top; return the chart."""
+        for kind, y in curves.items():
+            self.line(x, y, kind)
+        return self
+
     def dots(self, x: np.ndarray, y: np.ndarray, kind: str) -> None:
         """Draw dots at points, shape (k,) each."""
         d = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(self._px(x), self._py(y), strict=True))
@@ -134,3 +147,24 @@ def limits(values: np.ndarray, share: float = 0.5, margin: float = 0.08, least: 
     low, high = min(low, -least), max(high, least)
     pad = margin * (high - low) if high > low else 1.0
     return float(low - pad), float(high + pad)
+
+
+def response_context(found: Response | None) -> dict[str, Any] | None:
+    """Return charts and resonances of a frequency response for the template; None without a response."""
+    if found is None:
+        return None
+    f = np.log10(found.frequency)
+    x = float(f[0]), float(f[-1])
+    labels = tuple((float(np.log10(v)), f"{v:g}") for v in _FREQUENCIES if x[0] <= np.log10(v) <= x[1])
+    curves = {"measured broad": found.measured, "after": found.simulated}
+    good = np.where(found.coherent, 1.0, np.nan)
+    size = {kind: good * 20 * np.log10(np.abs(values)) for kind, values in curves.items()}
+    phase = {kind: good * np.degrees(np.angle(values)) for kind, values in curves.items()}
+    y = limits(np.concatenate([*size.values()]), 0.0)
+    magnitude = Chart(x, y, "magnitude", "frequency [Hz]", "dB of 1 rad/(s·A)", labels=labels, width=WIDTH, height=220)
+    angle = Chart(x, (-200.0, 200.0), "phase", "frequency [Hz]", "°", labels=labels, width=WIDTH, height=150)
+    coherence = Chart(x, (0.0, 1.05), "coherence", "frequency [Hz]", "1", labels=labels, width=WIDTH, height=150)
+    for chart, of in ((magnitude, size), (angle, phase), (coherence, {"measured broad": found.coherence})):
+        chart.lines(f, of)
+    peaks, dips = found.resonances()
+    return {"charts": [[magnitude], [angle, coherence]], "peaks": peaks, "dips": dips}

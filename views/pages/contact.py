@@ -13,7 +13,7 @@ import numpy as np
 
 from ...models.errors import InputError
 from ..contact_views import HEADS, contact_rows, measure_text, reasons, titles
-from .chart import Chart, limits
+from .chart import WIDTH, Chart, limits
 from .rendering import file_digest, output_of, render
 from .run import line_kinds
 
@@ -116,7 +116,7 @@ def _charts(
         values = np.array([row[key] for row in here])
         chart = Chart(
             (-1.0, 4.3), limits(np.append(values, 0.0), 4.0), title, "false alarms per hour", what,
-            labels=labels, width=540, height=240,
+            labels=labels, width=WIDTH, height=240,
         )  # fmt: skip
         for name in names:
             own = [row for row in here if row["estimator"] == name and row["false_alarms_per_hour"] > 0]

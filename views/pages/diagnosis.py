@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import shlex
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,8 +32,8 @@ from ..report import (
 )  # fmt: skip
 from ..residuals import balances, overlays
 from . import residual_charts
+from .chart import response_context
 from .rendering import fingerprint, render
-from .response_charts import response_context
 
 if TYPE_CHECKING:
     from ...diagnosis.answer import Diagnosis, Finding
@@ -120,15 +119,13 @@ def html(report: Report) -> str:
 
 
 def _commands(report: Report) -> dict[str, str]:
-    folder = shlex.quote(report.folder.as_posix()) if report.folder is not None else "DIR"
-    joint, more = f"{folder}/joint.yaml", plugins.options()
-    measured = shlex.quote(Path(report.measurement.path).as_posix())
     mounting = "" if "link" in report.joint.mountings else f" --set mounting={shlex.quote(report.joint.mounting)}"
+    sets = f"--set joint={report.extended}{mounting}{_gains(report)}"
     return {
-        "folder": folder,
-        "run": f"flexspline run link_sweep --set joint={joint}{mounting}{_gains(report)}{more}",
-        "estimate": f"flexspline estimate {measured} --joint {joint} --out estimates{more}",
-        "validate": f"flexspline validate NEW_MEASUREMENT --joint {joint} --out check{more}",
+        "folder": "DIR" if report.folder is None else report.folder.as_posix(),
+        "run": f"flexspline run link_sweep {sets}{plugins.options()}",
+        "estimate": report.estimating,
+        "validate": report.validating,
         "check": checking(report.measurement, report.joint),
         "mend": mending(report.measurement, report.joint),
     }

@@ -14,19 +14,17 @@ from datetime import datetime
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ...models.errors import InputError
 from ...models.files import check_format, read_json
+from ...models.recording import Recording
 from ..glossary import meaning, pieces
 from ..numbers import number, percent
 from ..report import plain
-
-if TYPE_CHECKING:
-    from ...models.recording import Recording
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 _DIGITS = 12  # of a digest
@@ -37,15 +35,19 @@ def render(template: str, context: dict[str, Any]) -> str:
 
     `written` and `versions` are known to every template. Any other name that the context does not have is an error.
     """
-    page = _environment().get_template(template).render({"written": now(), "versions": versions()} | context)
+    page = _pages().get_template(template).render({"written": now(), "versions": versions()} | context)
     return re.sub(r"\n\s*", "\n", page)  # without indentation and empty lines of templates
 
 
+def environment(**options: Any) -> Environment:
+    """Return the templates of `views/templates`; `options`: of jinja2."""
+    loader = FileSystemLoader(TEMPLATES)
+    return Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, **options)
+
+
 @cache
-def _environment() -> Environment:
-    made = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )  # fmt: skip
+def _pages() -> Environment:
+    made = environment(autoescape=True)
     made.filters |= {
         "number": number, "percent": percent, "sentence": sentence, "evidence": evidence, "meaning": meaning,
         "pieces": pieces, "plain": plain,

@@ -9,16 +9,7 @@ import numpy as np
 
 from ..numbers import percent
 from ..report import plain
-from ..residuals import (
-    ORDERS,
-    VARIABLES,
-    Overlay,
-    ResidualSeries,
-    explained,
-    means,
-    orders,
-    strongest_variable,
-)  # fmt: skip
+from ..residuals import ORDERS, VARIABLES, Overlay, ResidualSeries, explained, means, orders, strongest_variable
 from .chart import Chart, limits
 
 if TYPE_CHECKING:
@@ -53,17 +44,13 @@ def _overlay(o: Overlay, y: tuple[float, float]) -> list[Chart]:
     x = (float(o.time[0]), float(o.time[-1]))
     charts = []
     if o.measured is not None:
-        curves = o.measured, o.measured - o.before, o.measured - o.after
-        values = Chart(x, limits(np.concatenate(curves), 0.05), o.name, ylabel=o.unit, height=166)
-        for curve, kind in zip(curves, ("measured broad", "before", "after"), strict=True):
-            values.line(o.time, curve, kind)
-        charts.append(values)
+        curves = {"measured broad": o.measured, "before": o.measured - o.before, "after": o.measured - o.after}
+        y_values = limits(np.concatenate([*curves.values()]), 0.05)
+        charts.append(Chart(x, y_values, o.name, ylabel=o.unit, height=166).lines(o.time, curves))
     residual = Chart(x, y, "measured − simulated" if charts else o.name, "time [s]", o.unit, height=152)
     residual.stripes(o.held_out, "held-out")
     residual.band(-2 * o.noise, 2 * o.noise, "noise")
-    residual.line(o.time, o.before, "before thin")
-    residual.line(o.time, o.after, "after thin")
-    return [*charts, residual]
+    return [*charts, residual.lines(o.time, {"before thin": o.before, "after thin": o.after})]
 
 
 def trace(improvement: Improvement) -> dict[str, Any]:
@@ -71,17 +58,12 @@ def trace(improvement: Improvement) -> dict[str, Any]:
     load."""
     t = max(improvement.traces, key=lambda t: float(np.ptp(t.measured)))
     x = (float(t.time[0]), float(t.time[-1]))
+    curves = {"measured broad": t.measured, "before": t.before, "after": t.after}
     values = Chart(x, limits(t.measured, 0.05), plain(improvement.quantity), ylabel="N·m", width=660, height=170)
-    values.line(t.time, t.measured, "measured broad")
-    values.line(t.time, t.before, "before")
-    values.line(t.time, t.after, "after")
-    errors = t.before - t.measured, t.after - t.measured
-    below = Chart(
-        x, limits(np.concatenate(errors), 0.3, 0.1), "estimate − measured", "time [s]", "N·m", width=660, height=152
-    )
-    below.line(t.time, errors[0], "before thin")
-    below.line(t.time, errors[1], "after thin")
-    return {"name": t.name, "charts": [values, below]}
+    errors = {"before thin": t.before - t.measured, "after thin": t.after - t.measured}
+    y = limits(np.concatenate([*errors.values()]), 0.3, 0.1)
+    below = Chart(x, y, "estimate − measured", "time [s]", "N·m", width=660, height=152)
+    return {"name": t.name, "charts": [values.lines(t.time, curves), below.lines(t.time, errors)]}
 
 
 def main_variable(found: list[ResidualSeries]) -> dict[str, Any] | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import shlex
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,21 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...estimator.estimator import KnownJoint
-from ...models import plugins
+from ...models.command_lines import command_line
 from ...models.parameters import as_floats
 from ..numbers import number
 from ..report import listed
 from ..style import FILTERS
-from ..tables import COLUMNS, RAW_MODEL, doubts, marked, misjudged
-from .chart import Chart, limits
+from ..tables import COLUMNS, RAW_MODEL, comparison_rows, doubts, marked, misjudged
+from .chart import WIDTH, Chart, limits, response_context
 from .rendering import fingerprint, render
-from .response_charts import response_context
 
 if TYPE_CHECKING:
     from ...diagnosis.bode import Response
     from ...scenarios.run import Run
 
-_WIDTH = 540
 _NEAR = 1.25  # errors within this ratio are equal, as the noise of a run is drawn once
 
 
@@ -158,36 +155,32 @@ def _honest(runs: Mapping[str, Run]) -> dict[str, list[tuple[str, str, float]]]:
 
 
 def _commands(run: Run, folder: Path, chosen: str) -> list[tuple[str, str]]:
-    place, why = shlex.quote(folder.as_posix()), "for this motion"
+    why, scenario = "for this motion", folder / "scenario.yaml"
     if off := misjudged(run.metrics):
         chosen, nis = next(iter(off.items()))  # the farthest off
         why = f"for this joint and motion: its mean NIS is {number(nis, 2)}"
-    scenario, own = f"{place}/scenario.yaml", plugins.options()
+    bound = "compares each estimator with the Cramér-Rao bound, with intervals"
     return [
-        (f"flexspline view {place}{own}", "shows the joint in motion, estimates and innovations"),
-        (f"flexspline bound {scenario} --seeds 10{own}", "compares each estimator with the Cramér-Rao bound, with intervals"),
-        (f"flexspline tune {scenario} --filter {chosen} --out tuned{own}", f"tunes {chosen} {why}"),
-    ]  # fmt: skip
+        (command_line("view", folder), "shows the joint in motion, estimates and innovations"),
+        (command_line("bound", scenario, "--seeds", 10), bound),
+        (command_line("tune", scenario, "--filter", chosen, "--out", "tuned"), f"tunes {chosen} {why}"),
+    ]
 
 
 def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str, str]]:
-    places = [shlex.quote(folder.as_posix()) for _, folder in runs]
-    own = shlex.quote((runs[-1][1] / f"{runs[-1][0].name}.yaml").as_posix())
-    again, more = shlex.quote((arm / "arm.yaml").as_posix()), plugins.options()
+    run, folder = runs[-1]
+    diagnose = command_line("diagnose", folder / f"{run.name}.yaml", "--out", "diagnosis")
+    again = command_line("run", arm / "arm.yaml", "--seed", 2, "--out", "again")
     return [
-        (f"flexspline view {' '.join(places)}", "shows every joint's motion, estimates and innovations"),
-        (f"flexspline run {again} --seed 2 --out again{more}", "runs the same arm with other noise"),
-        (f"flexspline diagnose {own} --out diagnosis{more}", f"diagnoses {runs[-1][1].name} by its sensors in the arm"),
-    ]  # fmt: skip
+        (command_line("view", *(place for _, place in runs)), "shows every joint's motion, estimates and innovations"),
+        (again, "runs the same arm with other noise"),
+        (diagnose, f"diagnoses {folder.name} by its sensors in the arm"),
+    ]
 
 
 def _scenario(name: str, run: Run, kinds: dict[str, str], joint: bool) -> dict[str, Any]:
     metrics = run.metrics
-    entries = {RAW_MODEL: metrics["model"]} if metrics.get("model") else {}
-    rows = []
-    for filter_, values in (entries | dict(metrics["filters"])).items():
-        cells = [column.text(values) for column in COLUMNS]
-        rows.append((marked(filter_, metrics), kinds.get(filter_, "measured"), cells))
+    rows = [(marked(n, metrics), kinds.get(n, "measured"), cells) for _, n, *cells in comparison_rows({name: metrics})]
     doubted = {RAW_MODEL, *(marked(n, metrics) for n in metrics["untrusted"])}
     own = [row for row in rows if row[0] not in doubted]
     best = {
@@ -226,25 +219,23 @@ def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:
     time, truth = run.time, run.truth("joint_torque")
     settled = time >= run.scenario.transient
     x = (float(time[0]), float(time[-1]))
-    torque = Chart(x, limits(truth, 0.0), "joint torque", ylabel="N·m", width=_WIDTH, height=220)
+    torque = Chart(x, limits(truth, 0.0), "joint torque", ylabel="N·m", width=WIDTH, height=220)
     torque.line(time, run.reading("joint_torque"), "measured thin")
     for name in run.estimates:
         torque.line(time, run.estimate(name), kinds[name])
     torque.line(time, truth, "after")
     errors = {name: run.estimate(name) - truth for name in run.estimates}
     all_errors = np.concatenate([e[settled] for e in errors.values()]) if errors else truth * 0
-    error = Chart(x, limits(all_errors, 0.1, 0.1), "estimate − true", "time [s]", "N·m", width=_WIDTH, height=200)
+    error = Chart(x, limits(all_errors, 0.1, 0.1), "estimate − true", "time [s]", "N·m", width=WIDTH, height=200)
     for name, values in errors.items():
         error.line(time, values, f"{kinds[name]} thin")
-    angle = np.degrees(run.truth("link_position"))
-    position = Chart(x, limits(angle, 0.0), "link angle", ylabel="°", width=_WIDTH, height=150)
+    angle, current, external = np.degrees(run.truth("link_position")), run.reading("motor_current"), run.external_torque
+    position = Chart(x, limits(angle, 0.0), "link angle", ylabel="°", width=WIDTH, height=150)
     if run.position_command is not None:
         position.line(time, np.degrees(run.position_command), "measured thin")
+    drive = Chart(x, limits(current, 0.1), "motor current", "", "A", width=WIDTH, height=130)
+    push = Chart(x, limits(external, 0.0, least=0.1), "external torque", "time [s]", "N·m", width=WIDTH, height=140)
     position.line(time, angle, "after")
-    current = run.reading("motor_current")
-    drive = Chart(x, limits(current, 0.1), "motor current", "", "A", width=_WIDTH, height=130)
     drive.line(time, current, "measured thin")
-    external = run.external_torque
-    push = Chart(x, limits(external, 0.0, least=0.1), "external torque", "time [s]", "N·m", width=_WIDTH, height=140)
     push.line(time, external, "backward")
     return [[torque, error], [position, drive, push]]

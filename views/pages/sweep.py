@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -11,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...models import plugins
+from ...models.command_lines import command_line
 from ..numbers import number
 from ..sweep_tables import cell, metric_column, panels_of, sign_of, sweep_rows, value_text
-from .chart import Chart, limits
+from .chart import WIDTH, Chart, limits
 from .rendering import render
 from .run import line_kinds
 
@@ -22,6 +21,8 @@ if TYPE_CHECKING:
     from ...scenarios.studies.statistics import Aggregate
     from ...scenarios.studies.study import Study
 
+Values = Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]]
+"""Scenario → filter → a metric of all runs, ascending, and their seeds, shape (n,) each."""
 _SHOWN = 12  # charts at most
 _WORST = 3  # seeds
 
@@ -34,7 +35,7 @@ def sweep_html(
     folder: Path,
     source: str = "",
     worst: Sequence[Path] = (),
-    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]] = MappingProxyType({}),
+    values: Values = MappingProxyType({}),
 ) -> str:
     """Return the page as text, one file without references to others.
 
@@ -42,14 +43,13 @@ def sweep_html(
       versions, digest: of the packages, and of the study.
       source: name or path of the study for `flexspline sweep`; empty if unknown.
       worst: files of the run with the largest first metric of each scenario.
-      values: scenario → filter → first metric of all runs, ascending, and their seeds, shape (n,) each.
+      values: of the first metric.
     """
     kinds = line_kinds(study.names)
     metric = study.metrics[0]
-    place = shlex.quote(folder.as_posix())
     titles = {axis.name: axis.title for axis in study.axes}
     listed = isinstance(study.seeds, list)
-    more = "" if listed else f" --seeds {2 * max(s.runs for s in found)}"
+    more = () if listed else ("--seeds", 2 * max(s.runs for s in found))
     context = {
         "study": study,
         "sentence": _verdict(study, found),
@@ -65,10 +65,8 @@ def sweep_html(
         "charts": _charts(study, found, metric, kinds),
         "tables": [_table(study, found, m) for m in study.metrics],
         "axes": [titles.get(name, name) for name in found[0].columns],
-        "commands": [
-            f"flexspline sweep {shlex.quote(source or f'{study.name}.yaml')}{more} --out {place}{plugins.options()}"
-        ],
-        "worst": [f"flexspline run {shlex.quote(path.as_posix())}{plugins.options()}" for path in worst],
+        "commands": [command_line("sweep", source or f"{study.name}.yaml", *more, "--out", folder)],
+        "worst": [command_line("run", path) for path in worst],
         "listed": listed,
         "unknown": not source,
         "folder": str(folder),
@@ -119,16 +117,12 @@ def _table(study: Study, found: Sequence[Aggregate], metric: str) -> dict[str, A
     return {"title": column.title, "meaning": column.meaning, "rows": rows}
 
 
-def _spread(
-    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], metric: str, kinds: dict[str, str]
-) -> list[list[Chart]]:
+def _spread(values: Values, metric: str, kinds: dict[str, str]) -> list[list[Chart]]:
     """Charts of the distribution of a metric over seeds and settings: the share of the runs with at most this value."""
     column, charts = metric_column(metric), []
     for scenario, of in values.items():
-        every = column.scale * np.concatenate([v for v, _ in of.values()])
-        chart = Chart(
-            limits(np.append(every, 0.0), 0.0), (0.0, 105.0), scenario, column.title, "runs [%]", width=540, height=260
-        )
+        x = limits(np.append(column.scale * np.concatenate([v for v, _ in of.values()]), 0.0), 0.0)
+        chart = Chart(x, (0.0, 105.0), scenario, column.title, "runs [%]", width=WIDTH, height=260)
         for name, (found, _) in of.items():
             share = 100 * np.arange(len(found) + 1) / max(len(found), 1)
             chart.line(np.repeat(column.scale * found, 2), np.repeat(share, 2)[1:-1], kinds[name])
@@ -136,9 +130,7 @@ def _spread(
     return charts[:_SHOWN]
 
 
-def _largest(
-    values: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], metric: str
-) -> list[tuple[str, str, list[str]]]:
+def _largest(values: Values, metric: str) -> list[tuple[str, str, list[str]]]:
     """Scenario, filter, and median, 95 % quantile, maximum and the seeds with the largest values of a metric."""
     column = metric_column(metric)
     return [
@@ -162,11 +154,10 @@ def _charts(study: Study, found: Sequence[Aggregate], metric: str, kinds: dict[s
             if not panel.lines:
                 continue
             ends = np.concatenate([(mean - half, mean + half) for _, mean, half in panel.lines.values()], axis=None)
+            x_limits, y_limits = (-0.5, len(places) - 0.5), limits(np.append(ends, 0.0), 0.0)
             title = ", ".join([scenario, *(f"{titles.get(a, a)} {value_text(v)}" for a, v in panel.at.items())])
-            chart = Chart(
-                (-0.5, len(places) - 0.5), limits(np.append(ends, 0.0), 0.0), title, titles.get(across, ""), column.title,
-                labels=labels, width=540, height=260,
-            )  # fmt: skip
+            of = titles.get(across, ""), column.title
+            chart = Chart(x_limits, y_limits, title, *of, labels=labels, width=WIDTH, height=260)
             for name, (x, mean, half) in panel.lines.items():
                 chart.line(x, mean, kinds[name])
                 chart.dots(x, mean, f"{kinds[name]} small")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-import shlex
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...models import causes, plugins
+from ...models import causes
 from ...models.calibration import slots
+from ...models.command_lines import command_line
 from ...models.errors import InputError
 from ...models.joint import Joint, load_joint
 from ...models.joint_parts import Number
@@ -21,6 +22,7 @@ from .rendering import file_digest, output_of, render
 
 _DELAYS = ("current_delay", "torque_sensor_delay")
 """Delays of sensors that a diagnosis finds, by their names in its answer."""
+FoundCause = dict[str, Any]  # of a diagnosis' answer
 MOVED = 3.0  # A number has moved if it differs by more than so many standard deviations
 
 
@@ -33,7 +35,7 @@ class Diagnosed:
     joint: Joint  # `joint.yaml`, the extended joint
 
     @property
-    def causes(self) -> dict[tuple[str | float, ...], dict[str, Any]]:
+    def causes(self) -> dict[tuple[str | float, ...], FoundCause]:
         """Causes with `title`, by name, whole numbers, and variables of an unknown effect."""
         return {
             (cause["name"], *_orders(cause).values(), *cause.get("depends_on", ())): {**cause, "title": _title(cause)}
@@ -99,13 +101,13 @@ def _library(name: str) -> dict[str, causes.CauseParameter]:
     return {p.name: p for p in causes.get(name).parameters} if name in causes.names() else {}
 
 
-def _orders(cause: dict[str, Any]) -> dict[str, float]:
+def _orders(cause: FoundCause) -> dict[str, float]:
     """Whole numbers of a cause by name."""
     known = _library(cause["name"])
     return {name: p["value"] for name, p in cause["parameters"].items() if name in known and known[name].integer}
 
 
-def _title(cause: dict[str, Any]) -> str:
+def _title(cause: FoundCause) -> str:
     """`cogging of order 2`, `backlash`, `unknown effect of motor position`."""
     unknown = cause["name"] == "unknown"
     parts = [f"{plain(name)} {value:g}" for name, value in _orders(cause).items()]
@@ -123,11 +125,10 @@ def two_html(before: Diagnosed, after: Diagnosed) -> str:
     earlier, later = before.causes, after.causes
     gone = [cause for key, cause in earlier.items() if key not in later]
     new = [cause for key, cause in later.items() if key not in earlier]
-    both = [(cause, later[key], _parameters(cause, later[key])) for key, cause in earlier.items() if key in later]
+    both = [(cause, later[key], [*_parameters(cause, later[key])]) for key, cause in earlier.items() if key in later]
     numbers = [*_numbers(before.joint, after.joint), *_delays(before, after)]
     numbers = sorted(numbers, key=lambda change: -abs(change.deviations))
     moved = [change for change in numbers if change.moved]
-    place = shlex.quote(after.folder.as_posix())
     context = {
         "joint": before.joint.name,
         "sides": (before, after),
@@ -141,8 +142,8 @@ def two_html(before: Diagnosed, after: Diagnosed) -> str:
         "residuals": _both(before.answer["residual"], after.answer["residual"]),
         "errors": _both(before.estimators, after.estimators),
         "commands": [
-            f"flexspline validate NEW_MEASUREMENT --joint {place}/joint.yaml --out check{plugins.options()}",
-            f"flexspline plan {place}",
+            command_line("validate", "NEW_MEASUREMENT", "--joint", after.folder / "joint.yaml", "--out", "check"),
+            command_line("plan", after.folder),
         ],
         "data": [(str(d.folder), file_digest(d.folder / "diagnosis.json")) for d in (before, after)],
     }
@@ -150,9 +151,9 @@ def two_html(before: Diagnosed, after: Diagnosed) -> str:
 
 
 def _sentence(
-    gone: list[dict[str, Any]],
-    new: list[dict[str, Any]],
-    both: list[tuple[dict[str, Any], dict[str, Any], list[NumberChange]]],
+    gone: list[FoundCause],
+    new: list[FoundCause],
+    both: list[tuple[FoundCause, FoundCause, list[NumberChange]]],
     moved: list[NumberChange],
 ) -> str:
     parts = []
@@ -177,15 +178,14 @@ def _change(
     return NumberChange(name, unit, meaning, with_std(*a, unit), with_std(*b, unit), deviations)
 
 
-def _numbers(before: Joint, after: Joint) -> list[NumberChange]:
+def _numbers(before: Joint, after: Joint) -> Iterator[NumberChange]:
     """Numbers of the description that either diagnosis moved."""
-    found, later = [], {slot.name: slot.number for slot in slots(after)}
+    later = {slot.name: slot.number for slot in slots(after)}
     for slot in slots(before):
         a, b = slot.number, later.get(slot.name)
         if b is not None and not (a.std is None and b.std is None):
             unit = "" if a.unit == "1" else a.unit
-            found.append(_change(slot.name, unit, meaning(slot.name), _known(a), _known(b), slot.period))
-    return found
+            yield _change(slot.name, unit, meaning(slot.name), _known(a), _known(b), slot.period)
 
 
 def _known(number: Number) -> tuple[float, float]:
@@ -194,29 +194,26 @@ def _known(number: Number) -> tuple[float, float]:
     return number.value, spread if number.std is None else number.std
 
 
-def _delays(before: Diagnosed, after: Diagnosed) -> list[NumberChange]:
+def _delays(before: Diagnosed, after: Diagnosed) -> Iterator[NumberChange]:
     """Delays of sensors that either diagnosis found; a description has no standard deviation of them."""
-    found = []
     sides = [d.answer.get("calibration", {}) for d in (before, after)]
     for name in _DELAYS:
         one = sides[0].get(name) or sides[1].get(name)
         if one is not None:
             described = {"value": one["nominal"], "std": one["tolerance"]}
             x, y = (side.get(name, described) for side in sides)
-            found.append(_change(name, one["unit"], meaning(name), (x["value"], x["std"]), (y["value"], y["std"])))
-    return found
+            yield _change(name, one["unit"], meaning(name), (x["value"], x["std"]), (y["value"], y["std"]))
 
 
-def _parameters(a: dict[str, Any], b: dict[str, Any]) -> list[NumberChange]:
+def _parameters(a: FoundCause, b: FoundCause) -> Iterator[NumberChange]:
     """Parameters of a cause in both diagnoses, without its orders."""
-    found, known = [], _library(a["name"])
+    known = _library(a["name"])
     for name, p in a["parameters"].items():
         q = b["parameters"].get(name)
         if q is not None and name not in _orders(a):
             period = known[name].period if name in known else 0.0
             values = (p["value"], p["std"] or 0.0), (q["value"], q["std"] or 0.0)
-            found.append(_change(plain(name), p["unit"], "", *values, period))
-    return found
+            yield _change(plain(name), p["unit"], "", *values, period)
 
 
 def _both(before: dict[str, Any], after: dict[str, Any]) -> list[tuple[str, Any, Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,21 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from ...models import plugins
+from ...models.command_lines import command_line
 from ...models.errors import InputError
 from ...models.joint_parts import beyond_sentence
 from ...models.recording import LARGEST
 from ...models.tables import read_table
 from ..numbers import number, percent
 from ..report import listed, plain
-from .chart import Chart, limits
+from .chart import WIDTH, Chart, limits
 from .rendering import file_digest, output_of, render
 from .residual_charts import Group
 
 HELD = 0.9  # A description holds for a channel if this share of the samples in motion is inside the 95 % band
 _CLEARLY = 2.0
 """An error of more than so many times the sensors' noise has a cause that could be found, also inside the band."""
-_WIDTH = 540
 _WORSE = 1.3  # A region with more than so many times the error of all motion is reported as the worst
 
 
@@ -156,20 +154,17 @@ def _worst(answer: dict[str, Any], channel: str) -> dict[str, Any] | None:
 
 
 def _commands(found: Validated) -> list[tuple[str, str]]:
-    data = shlex.quote(str(found.answer.get("measurement") or "MEASUREMENT"))
-    joint, more = shlex.quote(str(found.answer.get("description") or "JOINT")), plugins.options()
+    data, joint = found.answer.get("measurement") or "MEASUREMENT", found.answer.get("description") or "JOINT"
+
+    def line(command: str, *out: str) -> str:
+        return command_line(command, data, "--joint", joint, *out)
+
     if _severe(found.answer):
-        return [(f"flexspline check {data} --joint {joint}{more}", "names the mistake and its correction")]
-    estimate = (
-        f"flexspline estimate {data} --joint {joint} --out estimates{more}",
-        "estimates the joint torque with this description",
-    )
-    diagnose = (
-        f"flexspline diagnose {data} --joint {joint} --out diagnosis{more}",
-        "finds the cause, and writes a joint that fits",
-    )
+        return [(line("check"), "names the mistake and its correction")]
+    estimate = line("estimate", "--out", "estimates"), "estimates the joint torque with this description"
+    diagnose = line("diagnose", "--out", "diagnosis"), "finds the cause, and writes a joint that fits"
     if not _holds(found.answer):
-        return [diagnose, (f"flexspline plan {data} --joint {joint}{more}", "finds out what to measure next")]
+        return [diagnose, (line("plan"), "finds out what to measure next")]
     return [estimate, diagnose] if _above_noise(found.answer) else [estimate]
 
 
@@ -188,12 +183,14 @@ def charts_of(found: Validated) -> list[Group]:
         y = (-reach, reach) if reach > 0 else (-1.0, 1.0)
         charts = []
         for name, columns in of.items():
-            time, curves = columns["time"], (columns[channel], columns[f"{channel}_simulated"])
+            time, curves = (
+                columns["time"],
+                {"measured broad": columns[channel], "after": columns[f"{channel}_simulated"]},
+            )
             x, unit = (float(time[0]), float(time[-1])), error["unit"]
-            values = Chart(x, limits(np.concatenate(curves), 0.05), name, ylabel=unit, width=_WIDTH, height=190)
-            values.line(time, curves[0], "measured broad")
-            values.line(time, curves[1], "after")
-            below = Chart(x, y, "measured − simulated", "time [s]", unit, width=_WIDTH, height=170)
+            y_values = limits(np.concatenate([*curves.values()]), 0.05)
+            values = Chart(x, y_values, name, ylabel=unit, width=WIDTH, height=190).lines(time, curves)
+            below = Chart(x, y, "measured − simulated", "time [s]", unit, width=WIDTH, height=170)
             below.between(time, -half[name], half[name], "noise")
             below.line(time, left[name], "before thin")
             charts.append([values, below])

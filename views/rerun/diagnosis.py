@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from ...models.recording import Recording
 from ...sim.shape import shape
 from ..report import Report, markdown, plain
 from ..residuals import Overlay, overlays
 from ..style import SENSOR, TRUTH
 from .recording import TIMELINE, entity, joint_view, layout, recording, send_series, series_view
-from .scene import reach, send_bodies, send_torques, thin_frames
-
-if TYPE_CHECKING:
-    import mujoco
-
-    from ...models.recording import Recording
+from .scene import Scene, reach, thin_frames
 
 BEFORE, AFTER = "#E0533D", TRUTH
 """Colours of the simulation and of the extended joint's, as on the page."""
@@ -97,9 +93,9 @@ def _send_joint(
     else:
         return
     columns = [rr.TimeColumn(TIMELINE, duration=at)]
-    bare = r.link.gravity_moment == 0
+    scene = Scene(stream, f"{_place(r.name)}/scene", model)
     # The wave generator follows the rotor within milliradians, which are not measured.
-    send_bodies(stream, f"{_place(r.name)}/scene", columns, np.column_stack([motor, motor, link]), model, bare)
+    scene.send_bodies(columns, np.column_stack([motor, motor, link]), r.link.gravity_moment == 0)
     for o in found:
         if o.channel == "joint_torque" and o.measured is not None:
             curves = {
@@ -108,7 +104,7 @@ def _send_joint(
                 "extended": (o.measured - o.after, AFTER),
             }
             torques = {name: (_sampled(at, o.time, x), color) for name, (x, color) in curves.items()}
-            send_torques(stream, f"{_place(r.name)}/scene", columns, torques, model)
+            scene.send_torques(columns, torques)
 
 
 def _sampled(at: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from ...sim.shape import shape
 from ..style import FILTERS, SPARE, TRUTH
 from .recording import entity, joint_view, layout, recording, send_series, series_view
-from .scene import reach, send_scene
+from .scene import Scene, reach
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -34,7 +34,7 @@ def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
             if run.position_command is not None:
                 series(f"position_error/{place}", -1e3 * run.command_error)
             series(f"current/{place}", run.reading("motor_current"))
-            send_scene(stream, f"scene/{place}", run, model, {"true": (truth, TRUTH)})
+            Scene(stream, f"scene/{place}", model).send_run(run, {"true": (truth, TRUTH)})
     return Path(path)
 
 

@@ -27,7 +27,7 @@ from .recording import (
     send_series,
     series_view,
 )  # fmt: skip
-from .scene import reach, send_scene
+from .scene import Scene, reach
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -49,14 +49,15 @@ class RunRecording:
 
     def __init__(self, stream: rr.RecordingStream, run: Run, live: bool = False):
         """Send the scenario, and the layout; `live`: whose cursor follows the data."""
-        self.run, self._stream, self._model = run, stream, shape(run.joint)
+        model = shape(run.joint)
+        self.run, self._stream, self._scene = run, stream, Scene(stream, "scene", model)
         self._colors = filter_colors(run.estimates)
         self._pushed = bool(np.any(run.external_torque))
         # Series are drawn in the order of their paths: a filter that is always robust would hide the paper's three.
         self._hidden = {n for n, one in run.estimates.items() if one.robust is not None and one.robust[1:].all()}
         self._shares = {name: robust_shares(run, name) for name in switching(run)}
         self._windows = {name: windows(run, name) for name in self._shares}
-        stream.send_blueprint(_blueprint(run, reach(self._model), live))
+        stream.send_blueprint(_blueprint(run, reach(model), live))
         stream.send_recording_name(run.name)
         self._send_notes(_asked(run))
 
@@ -66,7 +67,7 @@ class RunRecording:
         points = max(round(POINTS * len(run.time) / len(self.run.time)), 2)
         main = main_filter(self._colors)
         torques = {"true": (run.truth("joint_torque"), TRUTH), main: (run.estimate(main), self._colors[main])}
-        send_scene(self._stream, "scene", run, self._model, torques, self._pushed)
+        self._scene.send_run(run, torques, self._pushed)
         plain = partial(send_series, self._stream, run.time, points=points)
         series = partial(plain, keep=_interesting(run))
         self._send_torques(run, series)

@@ -28,105 +28,83 @@ def reach(model: mujoco.MjModel) -> float:
     return max(float(np.linalg.norm(model.site_pos[site][[0, 2]])), 0.2) if site >= 0 else 0.4
 
 
-def send_scene(
-    stream: rr.RecordingStream,
-    place: str,
-    run: Run,
-    model: mujoco.MjModel,
-    torques: Mapping[str, tuple[np.ndarray, str]],
-    pushed: bool = False,
-) -> None:
-    """Send the joint's bodies with the motion of a run or a stretch of one, and torques, as of `send_torques` but of all
-    samples; `pushed`: whether there is an external torque."""
-    frames = thin_frames(run.time)
-    if not len(frames):
-        return
-    time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
-    angles = np.column_stack([run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")])
-    bare = run.scenario.mount(run.joint).gravity_moment == 0
-    tips = send_bodies(stream, place, time, angles, model, bare)
-    send_torques(stream, place, time, {name: (x[frames], color) for name, (x, color) in torques.items()}, model)
-    if tips is not None and pushed:
-        _send_push(stream, f"{place}/external", time, run.external_torque[frames], tips, _axis(model))
+class Scene:
+    """A joint in 3D below an entity path."""
 
+    def __init__(self, stream: rr.RecordingStream, place: str, model: mujoco.MjModel):
+        self._stream, self._place, self._model = stream, place, model
+        self._axis: np.ndarray = model.jnt_axis[model.joint("link").id]
 
-def send_bodies(
-    stream: rr.RecordingStream,
-    place: str,
-    time: list[rr.TimeColumn],
-    angles: np.ndarray,
-    model: mujoco.MjModel,
-    bare: bool = False,
-) -> np.ndarray | None:
-    """Send the joint's bodies below an entity path; return the positions of the site `tip` [m], shape (f, 3), if there
-    is one. `angles`: of rotor and wave generator [rad, motor side] and link [rad], shape (f, 3); `bare`: without a link
-    its geoms are lines."""
-    new = is_new(stream, place)
-    if new:
-        stream.log(place, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
-    positions, rotations, tips = _poses(model, angles)
-    for body in range(1, model.nbody):
-        name = model.body(body).name or f"body_{body}"
+    def send_run(self, run: Run, torques: Mapping[str, tuple[np.ndarray, str]], pushed: bool = False) -> None:
+        """Send the joint's bodies with the motion of a run or a stretch of one, and torques, as of `send_torques` but of
+        all samples; `pushed`: whether there is an external torque."""
+        frames = thin_frames(run.time)
+        if not len(frames):
+            return
+        time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
+        angles = np.column_stack(
+            [run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")]
+        )
+        tips = self.send_bodies(time, angles, run.scenario.mount(run.joint).gravity_moment == 0)
+        self.send_torques(time, {name: (x[frames], color) for name, (x, color) in torques.items()})
+        if tips is not None and pushed:
+            self._send_push(time, run.external_torque[frames], tips)
+
+    def send_bodies(self, time: list[rr.TimeColumn], angles: np.ndarray, bare: bool = False) -> np.ndarray | None:
+        """Send the joint's bodies; return the positions of the site `tip` [m], shape (f, 3), if there is one.
+
+        Args:
+          angles: of rotor and wave generator [rad, motor side] and link [rad], shape (f, 3).
+          bare: without a link its geoms are lines.
+        """
+        new = is_new(self._stream, self._place)
         if new:
-            send_geoms(stream, model, body, f"{place}/{name}", bare and name == "link")
-        columns = rr.Transform3D.columns(translation=positions[:, body], quaternion=rotations[:, body])
-        stream.send_columns(f"{place}/{name}", time, columns, strict=True)
-    return tips
+            self._stream.log(self._place, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
+        positions, rotations, tips = _poses(self._model, angles)
+        for body in range(1, self._model.nbody):
+            name = self._model.body(body).name or f"body_{body}"
+            path = f"{self._place}/{name}"
+            if new:
+                send_geoms(self._stream, self._model, body, path, bare and name == "link")
+            columns = rr.Transform3D.columns(translation=positions[:, body], quaternion=rotations[:, body])
+            self._stream.send_columns(path, time, columns, strict=True)
+        return tips
 
+    def send_torques(self, time: list[rr.TimeColumn], torques: Mapping[str, tuple[np.ndarray, str]]) -> None:
+        """Send torques [N·m], shape (f,) each, by name with their colours, as curved arrows around the axis with increasing
+        radius, at `torque_<name>`. The axis is right-handed, and an arrow begins above it."""
+        model, axis, up = self._model, self._axis, np.array([0.0, 0.0, 1.0])
+        side, front = np.cross(axis, up), _front(model, axis) * axis
+        for i, (name, (torque, color)) in enumerate(torques.items()):
+            radius = (1 + 0.16 * i) * (2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1)
+            swept = np.radians(np.clip(DEGREES_PER_TORQUE * torque, -_LARGEST_ARC, _LARGEST_ARC))
+            head = np.sign(swept) * np.minimum(np.abs(swept), 0.22)
+            angles = np.column_stack([np.linspace(0, 1, _ARC_POINTS) * (swept - head)[:, None], swept])[..., None]
+            arcs = radius * (np.cos(angles) * up + np.sin(angles) * side) + front  # (f, points, 3)
+            path = f"{self._place}/torque_{name}"
+            if is_new(self._stream, path, color):
+                looks = rr.LineStrips3D.from_fields(colors=[rgb(color)], radii=[0.003])
+                self._stream.log(path, looks, static=True, strict=True)
+            strips = arcs[:, :-1].astype(np.float32)  # one array, not one object per frame
+            self._stream.send_columns(path, time, rr.LineStrips3D.columns(strips=strips), strict=True)
+            self._send_arrows(f"{path}/head", time, arcs[:, -2], arcs[:, -1] - arcs[:, -2], color)
 
-def send_torques(
-    stream: rr.RecordingStream,
-    place: str,
-    time: list[rr.TimeColumn],
-    torques: Mapping[str, tuple[np.ndarray, str]],
-    model: mujoco.MjModel,
-) -> None:
-    """Send torques [N·m], shape (f,) each, by name with their colours, as curved arrows around the axis with increasing
-    radius, at `torque_<name>` below an entity path. The axis is right-handed, and an arrow begins above it."""
-    axis, up = _axis(model), np.array([0.0, 0.0, 1.0])
-    side, front = np.cross(axis, up), _front(model, axis) * axis
-    for i, (name, (torque, color)) in enumerate(torques.items()):
-        radius = (1 + 0.16 * i) * (2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1)
-        swept = np.radians(np.clip(DEGREES_PER_TORQUE * torque, -_LARGEST_ARC, _LARGEST_ARC))
-        head = np.sign(swept) * np.minimum(np.abs(swept), 0.22)
-        angles = np.column_stack([np.linspace(0, 1, _ARC_POINTS) * (swept - head)[:, None], swept])[..., None]
-        arcs = radius * (np.cos(angles) * up + np.sin(angles) * side) + front  # (f, points, 3)
-        path = f"{place}/torque_{name}"
-        point = f"{path}/head"
-        if is_new(stream, path, color):
-            stream.log(path, rr.LineStrips3D.from_fields(colors=[rgb(color)], radii=[0.003]), static=True, strict=True)
-            stream.log(point, rr.Arrows3D.from_fields(colors=[rgb(color)], radii=[0.007]), static=True, strict=True)
-        strips = arcs[:, :-1].astype(np.float32)  # one array, not one object per frame
-        stream.send_columns(path, time, rr.LineStrips3D.columns(strips=strips), strict=True)
-        begin, end = arcs[:, -2], arcs[:, -1]
-        arrows = rr.Arrows3D.columns(origins=begin.astype(np.float32), vectors=(end - begin).astype(np.float32))
-        stream.send_columns(point, time, arrows, strict=True)
+    def _send_push(self, time: list[rr.TimeColumn], torque: np.ndarray, tips: np.ndarray) -> None:
+        """Send the external torque as a force at the link's tip."""
+        arm = tips - np.outer(tips @ self._axis, self._axis)
+        length = np.linalg.norm(arm, axis=1, keepdims=True)
+        direction = np.cross(self._axis, arm) / np.maximum(length, 1e-9)
+        vectors = FORCE_SCALE * (torque[:, None] / np.maximum(length, 1e-9)) * direction
+        self._send_arrows(f"{self._place}/external", time, tips - vectors, vectors, EXTERNAL)
 
-
-def _send_push(
-    stream: rr.RecordingStream,
-    path: str,
-    time: list[rr.TimeColumn],
-    torque: np.ndarray,
-    tips: np.ndarray,
-    axis: np.ndarray,
-) -> None:
-    """Send the external torque as a force at the link's tip."""
-    arm = tips - np.outer(tips @ axis, axis)
-    length = np.linalg.norm(arm, axis=1, keepdims=True)
-    direction = np.cross(axis, arm) / np.maximum(length, 1e-9)
-    vectors = FORCE_SCALE * (torque[:, None] / np.maximum(length, 1e-9)) * direction
-    if is_new(stream, path):
-        looks = rr.Arrows3D.from_fields(colors=[rgb(EXTERNAL)], radii=[0.007])
-        stream.log(path, looks, static=True, strict=True)
-    columns = rr.Arrows3D.columns(origins=(tips - vectors).astype(np.float32), vectors=vectors.astype(np.float32))
-    stream.send_columns(path, time, columns, strict=True)
-
-
-def _axis(model: mujoco.MjModel) -> np.ndarray:
-    """Axis of the joint, shape (3,)."""
-    axis: np.ndarray = model.jnt_axis[model.joint("link").id]
-    return axis
+    def _send_arrows(
+        self, path: str, time: list[rr.TimeColumn], origins: np.ndarray, vectors: np.ndarray, color: str
+    ) -> None:
+        if is_new(self._stream, path, color):
+            looks = rr.Arrows3D.from_fields(colors=[rgb(color)], radii=[0.007])
+            self._stream.log(path, looks, static=True, strict=True)
+        arrows = rr.Arrows3D.columns(origins=origins.astype(np.float32), vectors=vectors.astype(np.float32))
+        self._stream.send_columns(path, time, arrows, strict=True)
 
 
 def _front(model: mujoco.MjModel, axis: np.ndarray) -> float:

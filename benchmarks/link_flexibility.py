@@ -1,7 +1,4 @@
-"""What docs/link_flexibility.md states, computed: joints whose link is not rigid, diagnosed with and without that cause.
-
-python docs/link_flexibility.py
-"""
+"""Diagnose joints whose link is not rigid with and without that cause, for docs/link_flexibility.md."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement, Recording
 from flexspline.views import style
 
-HERE = Path(__file__).parent
+FIGURE = Path(__file__).parents[1] / "docs" / "figures" / "link_flexibility.png"
 SEED = 5
 HIDDEN = (
     {"share": 0.3, "frequency": 14.0, "damping": 0.02},
@@ -143,8 +140,4 @@ def main() -> None:
         rigid, whole = (quiet_rms(c.problem, x.best) for x in (c.rigid, c.whole))
         print(f"{rigid:.1f} | {named(c.effects(c.whole.best))} | {whole:.1f} |", flush=True)
         if i == 0:
-            figure(c, HERE / "figures" / "link_flexibility.png")
-
-
-if __name__ == "__main__":
-    main()
+            figure(c, FIGURE)

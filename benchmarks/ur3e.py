@@ -1,6 +1,6 @@
-"""What docs/ur3e.md states, computed from the measured half of a UR3e's shoulder: diagnosed on one part, held against another.
+"""Compute what docs/ur3e.md states from the measured half of a UR3e's shoulder: one part diagnosed, another predicted.
 
-python docs/ur3e.py shoulder_first_half.csv
+python -m benchmarks ur3e shoulder_first_half.csv
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.signal import coherence, csd, welch
 
+import flexspline as fs
 from flexspline.diagnosis.answer import Diagnosis
-from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.validate import Channels, validate
 from flexspline.models.joint import Joint, load_joint
 from flexspline.models.recording import Measurement, Recording
 from flexspline.views import style
 
-HERE = Path(__file__).parent
+FIGURE = Path(__file__).parents[1] / "docs" / "figures" / "ur3e_current.png"
 MOVING = 0.02
 """Speed of the joint [rad/s] from which on an error counts."""
 RIPPLE = 202
@@ -172,15 +172,15 @@ def velocity_against_angle(path: Path) -> list[tuple[float, float, float, float,
     return [(f[k], abs(ratio[k]), float(np.degrees(np.angle(ratio[k]))), with_angle[k], with_current[k]) for k in rows]
 
 
-def main() -> None:
+def main(words: Sequence[str] = ()) -> None:
     """Print what the velocity is to the angle, then the table, and draw the figure."""
-    parser = argparse.ArgumentParser(description="What docs/ur3e.md states, and its figure, from the measured log.")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ur3e", description=__doc__.partition("\n\n")[0])
     parser.add_argument("log", type=Path, help="shoulder_first_half.csv")
-    path = parser.parse_args().log
+    path = parser.parse_args(words).log
     for f, ratio, lead, with_angle, with_current in velocity_against_angle(path):
         print(f"{f:.1f} Hz: velocity {ratio:.2f} of the angle's, {lead:+.0f}°; ", end="")
         print(f"coherence {with_angle:.2f} with angle, {with_current:.2f} with current")
-    recording = import_recording(load_layout("ur3e"), path)
+    recording = fs.import_log("ur3e", path)
     joint = load_joint(recording.joint)
     end, start = SPLITS[0], float(recording.time[-1]) - 10.0
     for stop in SPLITS:
@@ -193,8 +193,4 @@ def main() -> None:
         print(f"| {stop:.0f} s | {found(held.answer)} | {inside.before:.3f} → {inside.after:.3f} | ", end="")
         print(" | ".join(f"{e:.3f}" for e in errors) + " |", flush=True)
         if stop == end:
-            figure(held, rest, start, HERE / "figures" / "ur3e_current.png")
-
-
-if __name__ == "__main__":
-    main()
+            figure(held, rest, start, FIGURE)

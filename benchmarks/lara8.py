@@ -1,7 +1,7 @@
-"""What docs/lara8.md states, computed: hold-out table, figures, and the extended joint, from the measured sweep.
+"""Compute what docs/lara8.md states: hold-out table, figures, and the extended joint, from the measured sweep.
 
-python -m docs.lara8 joint3_outbound.csv          # table and figures
-python -m docs.lara8 joint3_outbound.csv --write  # and models/lara8_joint3_extended.yaml
+python -m benchmarks lara8 joint3_outbound.csv          # table and figures
+python -m benchmarks lara8 joint3_outbound.csv --write  # and models/lara8_joint3_extended.yaml
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
+import flexspline as fs
 from flexspline.diagnosis.answer import Diagnosis
-from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.estimator import smoothed
 from flexspline.estimator.estimator import KnownJoint
@@ -34,12 +34,12 @@ from flexspline.models.recording import Measurement, Recording
 from flexspline.views import style
 from flexspline.views.tables import markdown_table
 
-HERE = Path(__file__).parent
+FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 CAUSES = ("load_dependent_friction", "gravity_direction")
 DESCRIPTION = (
     "lara8-joint3 with what its outbound sweep showed: friction grows with the load, gravity pulls from another "
     "direction than the controller believes, the link encoder has a once-per-revolution error. Made by "
-    "`python -m docs.lara8 … --write` from motor current, encoders and the flange sensor at joint angles from -2.6 to "
+    "`python -m benchmarks lara8 … --write` from motor current, encoders and the flange sensor at joint angles from -2.6 to "
     "0 rad; standard deviations beside the values."
 )
 
@@ -375,14 +375,14 @@ def _save(fig: Figure, path: Path) -> None:
     plt.close(fig)
 
 
-def main() -> None:
+def main(words: Sequence[str] = ()) -> None:
     """Print the table, draw the figures, write the extended joint if asked."""
-    parser = argparse.ArgumentParser(description="What docs/lara8.md states, and its figures, from the measured sweep.")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks lara8", description=__doc__.partition("\n\n")[0])
     parser.add_argument("log", type=Path, help="joint3_outbound.csv")
     parser.add_argument("--write", action="store_true", help="models/lara8_joint3_extended.yaml, too")
-    asked = parser.parse_args()
+    asked = parser.parse_args(words)
     path = asked.log
-    recording = import_recording(load_layout("lara8"), path)
+    recording = fs.import_log("lara8", path)
     joint = load_joint(recording.joint)
     found, rest = feed_forward(recording, path)
     print("feed-forward: sin q, cos q, sgn v, v, a", found.round(3), f"rms of the rest {rest:.3f} N·m")
@@ -400,15 +400,9 @@ def main() -> None:
         rows.append((name, found_causes, *(f"{v:.2f}" for pair in pairs for v in pair)))
     shown = (head for name in DIAGNOSED[1:] for head in (f"{name}: nominal", "diagnosed"))
     print(markdown_table(("held out", "cause (confidence)", *shown), rows), end="\n\n")
-    folder = HERE / "figures"
-    folder.mkdir(exist_ok=True)
-    figures(recording, folder)
+    figures(recording, FIGURES)
     made = extend(recording, joint)
     for effect in made.effects:
         print(effect.name, {k: (e.value, e.std, e.unit) for k, e in effect.parameters.items()})
     if asked.write:
         made.write(shipped("lara8_joint3_extended.yaml"))
-
-
-if __name__ == "__main__":
-    main()
