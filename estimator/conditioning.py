@@ -258,7 +258,7 @@ def _by_chance(reading: np.ndarray, parts: Sequence[slice], step: float) -> floa
     number = 0
     for part in parts:
         change = np.abs(np.diff(reading[part])) / step
-        number += np.count_nonzero((np.round(change[:-1]) == 1.0) & (change[1:] > 2 * _WENT_ON))
+        number += int(np.count_nonzero((np.round(change[:-1]) == 1.0) & (change[1:] > 2 * _WENT_ON)))
     return 0.5 * number
 
 

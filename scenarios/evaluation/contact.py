@@ -360,8 +360,8 @@ def assess(
         own, why, rows = zip(*(d[name] for d in done), strict=True)
         untrusted = tuple(reason for reason in why if reason is not None)
         for i, label in enumerate((name, f"{name}{BY_LINK}") if any(own) else (name,)):
-            arrays = (np.array(column) for column in zip(*(row[i] for row in rows), strict=True))
-            detectors.append(Detector(label, *arrays, untrusted=untrusted))
+            silent, size, before, rising = (np.array(column) for column in zip(*(row[i] for row in rows), strict=True))
+            detectors.append(Detector(label, silent, size, before, rising, untrusted))
     return detectors
 
 
