@@ -76,7 +76,9 @@ def _stiffness(recording: Recording, joint: Joint) -> Iterator[str]:
             torque = np.interp(motion.time, part.time, part["joint_torque"])
             torsion = smoothed.torsion_of(motion, rigid, torque)
             generator = torsion - smoothed.torsion_of(motion, known, torque)
-            parts.append(np.stack([smoothed.wound(torque, known), generator, np.ones_like(torque), torsion, motion.time]))
+            parts.append(
+                np.stack([smoothed.wound(torque, known), generator, np.ones_like(torque), torsion, motion.time])
+            )
     *shapes, torsion, time = np.concatenate(parts, axis=1)
     X = np.column_stack(shapes)
     if not len(time) or np.std(recording["joint_torque"]) < LEAST * known.rated_torque:
