@@ -242,27 +242,27 @@ def _smoothed(
     conditioned: Conditioned, time: np.ndarray, values: np.ndarray, names: list[str], weighed: bool, p: np.void
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Smooth channels and their noise, shape (n, 2 len(names)). Return times [s]; values with two derivatives, shape
-    (m, 2 len(names), 3); the passband of the readings [Hz]; the time in which the smoother settles [s]."""
+    (m, 2 len(names), 3); the passband of orders of motor and gear [Hz]; the time in which the smoother settles [s]."""
 
     def through(cutoff: float, share: float = SHARE) -> tuple[np.ndarray, np.ndarray]:
         s = smooth(time, values, STEP, cutoff, share=share)
         return s.time, np.stack([s.value, s.rate, s.acceleration], axis=-1)
 
-    cutoff = conditioned.passband
+    cutoff, encoders = conditioned.passband, [name for name in ENCODERS if name in conditioned.recording]
     slow = any(_slow(conditioned, name) for name in ("motor_current", "joint_torque"))
-    if "motor_position" in conditioned.recording and not (slow and "link_position" not in conditioned.recording):
+    if len(encoders) == len(ENCODERS) or ("motor_position" in encoders and not slow):
         return *through(cutoff), passband(time, cutoff), SETTINGS.settle_time
     readings = min([CUTOFF, *(SETTINGS.readings * conditioned.channels[name].rate for name in conditioned.news)])
-    following = cutoff
-    if "motor_position" not in conditioned.recording:
-        following = max(SETTINGS.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), SETTINGS.slowest)
-        following = min(following, cutoff)
     at, found = through(readings, SETTINGS.readings)
+    following, orders = cutoff, passband(time, cutoff)
+    if "motor_position" not in encoders:  # orders are in the simulation alone
+        following = max(SETTINGS.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), SETTINGS.slowest)
+        following, orders = min(following, cutoff), passband(time, readings, SETTINGS.readings)
     found = np.where(np.isin([*names, *names], ENCODERS)[:, None], through(following)[1], found)
     if weighed:  # channels that are compared go through one smoother
         found = np.where(np.isin([*names, *names], _WEIGHING)[:, None], through(cutoff)[1], found)
     settle = max(SETTINGS.settle_time, 1 / passband(time, following))
-    return at, found, passband(time, readings, SETTINGS.readings), settle
+    return at, found, orders, settle
 
 
 def _block(
