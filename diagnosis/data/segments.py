@@ -5,12 +5,12 @@ torques then have no relative smoothing error. Each segment has a *noise replica
 sensors' stated noise drawn and added again. Their difference gives the effect of the motion's noise on a residual.
 
 With one encoder, the rotor's motion follows from that encoder and the description; the replay simulates the link
-(`Segment.link_measured`). Readings then need less smoothing than motion, of a log slower than the residuals at least: friction
-reverses within a sample. Such a log has residuals at its samples only.
+(`Segment.link_measured`).
 
 The link encoder alone also sees the gear's kinematic error and the link's resonance. The rotor then follows the link below the
-frequency of that resonance, and moves evenly above. The gear's orders are in the simulation alone. A torque sensor is compared
-with the link's measured motion.
+frequency of that resonance, and moves evenly above. The gear's orders are in the simulation alone, and readings need less
+smoothing than motion: a log slower than the residuals has them at its samples only, as friction reverses between two. A torque
+sensor is compared with the link's measured motion.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class SegmentSettings:
     # passband of the rotor's motion from the link encoder, over the described resonance of the link against a fixed rotor
     following: float = 0.5
     slowest: float = 1.0  # least passband of such a motion [Hz]
-    readings: float = 0.8  # passband over sample rate of readings with one encoder; they are not differentiated
+    readings: float = 0.8  # passband over sample rate of readings with such a motion; they are not differentiated
 
 
 SETTINGS = SegmentSettings()
@@ -212,7 +212,9 @@ def _segment(
     # With one encoder the sensor is compared with the link's motion, measured or simulated.
     balances = np.array(["motor_current" in recording, has_torque and (link_measured or not weighed), weighed])
     usable, held_out = _usable(recording, index, at, state[:, 0], balances, settle)
-    sampled = np.ones_like(usable) if link_measured else _sampled(conditioned, part, at + recording.time[0])
+    sampled = np.ones_like(usable)
+    if "motor_position" not in recording:
+        sampled = _sampled(conditioned, part, at + recording.time[0])
     usable, held_out = usable & sampled, held_out & sampled
     # Torque of the link's gravity and inertia.
     own = p["Mg"] * np.sin(state[:, 1] + p["gravity_angle"]) + p["Jl"] * state[:, 4]
@@ -242,27 +244,24 @@ def _smoothed(
     conditioned: Conditioned, time: np.ndarray, values: np.ndarray, names: list[str], weighed: bool, p: np.void
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Smooth channels and their noise, shape (n, 2 len(names)). Return times [s]; values with two derivatives, shape
-    (m, 2 len(names), 3); the passband of orders of motor and gear [Hz]; the time in which the smoother settles [s]."""
+    (m, 2 len(names), 3); the passband of the readings [Hz]; the time in which the smoother settles [s]."""
 
     def through(cutoff: float, share: float = SHARE) -> tuple[np.ndarray, np.ndarray]:
         s = smooth(time, values, STEP, cutoff, share=share)
         return s.time, np.stack([s.value, s.rate, s.acceleration], axis=-1)
 
-    cutoff, encoders = conditioned.passband, [name for name in ENCODERS if name in conditioned.recording]
-    slow = any(_slow(conditioned, name) for name in ("motor_current", "joint_torque"))
-    if len(encoders) == len(ENCODERS) or ("motor_position" in encoders and not slow):
+    cutoff = conditioned.passband
+    if "motor_position" in conditioned.recording:
         return *through(cutoff), passband(time, cutoff), SETTINGS.settle_time
     readings = min([CUTOFF, *(SETTINGS.readings * conditioned.channels[name].rate for name in conditioned.news)])
+    following = max(SETTINGS.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), SETTINGS.slowest)
+    following = min(following, cutoff)
     at, found = through(readings, SETTINGS.readings)
-    following, orders = cutoff, passband(time, cutoff)
-    if "motor_position" not in encoders:  # orders are in the simulation alone
-        following = max(SETTINGS.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), SETTINGS.slowest)
-        following, orders = min(following, cutoff), passband(time, readings, SETTINGS.readings)
     found = np.where(np.isin([*names, *names], ENCODERS)[:, None], through(following)[1], found)
     if weighed:  # channels that are compared go through one smoother
         found = np.where(np.isin([*names, *names], _WEIGHING)[:, None], through(cutoff)[1], found)
     settle = max(SETTINGS.settle_time, 1 / passband(time, following))
-    return at, found, orders, settle
+    return at, found, passband(time, readings, SETTINGS.readings), settle
 
 
 def _block(
@@ -386,11 +385,6 @@ def _usable(
     return usable & ~held_out, usable & held_out
 
 
-def _slow(conditioned: Conditioned, name: str) -> bool:
-    """Return whether a channel is read more rarely than residuals are formed."""
-    return name in conditioned.channels and STEP * DECIMATION * conditioned.channels[name].rate < 1.0
-
-
 def _sampled(conditioned: Conditioned, part: slice, at: np.ndarray) -> np.ndarray:
     """Return which residuals at times `at` [s] have a reading within half of their interval, shape (k, len(BALANCES)).
 
@@ -398,7 +392,7 @@ def _sampled(conditioned: Conditioned, part: slice, at: np.ndarray) -> np.ndarra
     """
     found = np.ones((len(at), len(BALANCES)), bool)
     for balance, name in ((CURRENT, "motor_current"), (TORQUE, "joint_torque")):
-        if _slow(conditioned, name):
+        if name in conditioned.channels and STEP * DECIMATION * conditioned.channels[name].rate < 1.0:
             time = conditioned.recording.time[part]
             time = time[conditioned.news[name][part]] if name in conditioned.news else time
             after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
