@@ -40,7 +40,7 @@ DESCRIPTION = (
     "lara8-joint3 with what its outbound sweep showed: friction grows with the load, gravity pulls from another "
     "direction than the controller believes, the link encoder has a once-per-revolution error. Made by "
     "`python -m benchmarks lara8 … --write` from motor current, encoders and the flange sensor at joint angles from -2.6 to "
-    "0 rad; standard deviations beside the values."
+    "0 rad; values with standard deviations."
 )
 
 

@@ -265,7 +265,7 @@ _MJCF_COMMENT = """ {name}: one robot joint with a harmonic drive; rotor, wave g
 
        Opens in any MuJoCo viewer. Alone, the two torsion tendons are linear springs (K1, Kw0). The testbed sets every
        number from the joint's YAML and replaces the linear springs by what MJCF cannot say: the stiffening flexspline
-       Eq. (7), the wave generator's logarithmic law Eqs. (3)-(5), and the kinematic error. Angle zero: the link hangs
+       Eq. (7), the wave generator's logarithmic law Eqs. (3)-(5), and the kinematic error. Angle zero: the link points
        straight down. SI units; rotor and wave generator turn on the motor side, {N:g} times the output. """
 
 
